@@ -129,7 +129,7 @@ class Driver:
 def measure(twins: int, processes: int, rate: float, seconds: float) -> dict[str, Any]:
     """Latency and processor time of so many twins."""
     from suspension_twin.cli.common import bundled
-    from suspension_twin.nodes.fleet import Helpers
+    from suspension_twin.nodes.composed import Helpers
 
     names = [f"car_{number}" for number in range(twins)]
     file = str(bundled("config", "twins", "ford_mondeo_mk4.yaml"))

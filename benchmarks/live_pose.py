@@ -28,9 +28,9 @@ from suspension_twin.drive.types import Drive
 from suspension_twin.pose.lock import PoseLock
 from suspension_twin.pose.smoothed import locked_trajectory
 from suspension_twin.pose.types import Trajectory
+from suspension_twin.signals.imu import ImuSettings
 from suspension_twin.signals.ingest import ImuIngest
 from suspension_twin.signals.offline import ingest_drive
-from suspension_twin.signals.settings import ImuSettings
 from suspension_twin.vehicle.twin import Datum, Place
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -99,7 +99,7 @@ def started(case: Car, drive: Drive, start: float, end: float, velocities: bool)
             sample = ingest.push(t, imu.specific_force[k], imu.angular_rate[k])
             state = sample and lock.on_imu(sample.t, sample.force, sample.rate)
             if state and state.valid:
-                out.append(state[:5])
+                out.append((*state[:4], state.motion.speed))
     return np.array(out).reshape(-1, 5)
 
 

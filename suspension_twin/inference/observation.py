@@ -36,10 +36,9 @@ from suspension_twin.models.hooks import clocks_with, gains_with, turns_with, up
 from suspension_twin.models.tracked import ObstacleRun
 from suspension_twin.models.types import Excitation, Response
 from suspension_twin.pose.imu_gnss_consistency import clock_offset_beyond, findings, yaw_beyond
-from suspension_twin.pose.nodes import MAX_MEAN_SLOPE, mean_tilt
 from suspension_twin.pose.planar_denoising import denoised_motion
 from suspension_twin.pose.satellites import satellite_motion
-from suspension_twin.pose.smoothed import locked_trajectory
+from suspension_twin.pose.smoothed import MAX_MEAN_SLOPE, locked_trajectory, mean_tilt
 from suspension_twin.pose.types import Trajectory
 from suspension_twin.road.crg import warning_of
 from suspension_twin.road.road import Outside, Road

@@ -16,7 +16,7 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
 from suspension_twin.errors import InputError
-from suspension_twin.models.types import Excitation, HeightField, Ints, PlanarMotion, PlanarPath
+from suspension_twin.models.types import Excitation, HeightField, Ints, PlanarPath, PoseSample
 from suspension_twin.pose.types import Trajectory
 
 __all__ = [
@@ -225,7 +225,7 @@ def next_yaw_acceleration(value: float, change: float, interval: float) -> float
     return value + (change - value * interval) / (interval + YAW_TIME)
 
 
-def earlier_pose(motion: PlanarMotion, seconds: float) -> PlanarMotion:
+def earlier_pose(motion: PoseSample, seconds: float) -> PoseSample:
     """The pose ``seconds`` before, at the velocity of now: where a sensor was when it took a sample that comes so much
     later."""
     x, y, yaw, speed, lateral_speed, yaw_rate, *_ = motion

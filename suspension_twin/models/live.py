@@ -33,7 +33,7 @@ from suspension_twin.models.registry import model_of
 from suspension_twin.models.rows import STATES, WIDTH
 from suspension_twin.models.sensor_chain import Chain
 from suspension_twin.models.simulate import LaneBlocks, Stretch, observed
-from suspension_twin.models.types import BodyMotion, HeightField, PlanarMotion, SensorReading, WheelMotion
+from suspension_twin.models.types import BodyMotion, HeightField, PoseSample, SensorReading, WheelMotion
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["Following", "LiveModel", "LiveState", "LiveTwin", "live_twin"]
@@ -61,7 +61,7 @@ class LiveModel(ABC):
     _last: LiveState | None = None
 
     @abstractmethod
-    def _go_on(self, t: float, motion: PlanarMotion, interval: float, event: str) -> LiveState:
+    def _go_on(self, t: float, motion: PoseSample, interval: float, event: str) -> LiveState:
         """The state at ``t`` s, ``interval`` s after the last stamp; with an ``event`` from static equilibrium."""
 
     def reset(self) -> None:
@@ -69,13 +69,13 @@ class LiveModel(ABC):
         self._t = math.nan
         self._last = None
 
-    def step(self, t: float, motion: PlanarMotion) -> LiveState:
+    def step(self, t: float, motion: PoseSample) -> LiveState:
         """Go on to stamp ``t`` s, where base_link has this pose and planar motion.
 
         A pause longer than ``excitation.MAX_GAP`` or a stamp before the last one starts afresh; a
         repeated stamp and input that is not finite leave the twin where it is.
         """
-        motion = PlanarMotion._make(
+        motion = PoseSample._make(
             map(float, motion)
         )  # an array of whole numbers would compile the kernel anew
         if not math.isfinite(t + sum(motion)):
@@ -142,7 +142,7 @@ class Following(LiveModel):
         self._reference: Floats | None = None  # heights that a scale of the road leaves alone
         self._t0 = math.nan
 
-    def _go_on(self, t: float, motion: PlanarMotion, interval: float, event: str) -> LiveState:
+    def _go_on(self, t: float, motion: PoseSample, interval: float, event: str) -> LiveState:
         n = 0 if event else substeps(interval, self.max_step)
         if not interval >= 0.0:  # the first stamp, or time went back
             self._t0 = t
@@ -169,7 +169,7 @@ class Following(LiveModel):
                 return self._same("diverged: cannot start where it is")
         return self._state(t, event)
 
-    def _move(self, t: float, motion: PlanarMotion, interval: float, n: int) -> None:
+    def _move(self, t: float, motion: PoseSample, interval: float, n: int) -> None:
         """Pose and motion of the stamp to come, in ``n`` steps; what it was becomes the last one's."""
         pose, planar = self._pose, self._motion
         pose[:, 0] = pose[:, 1]

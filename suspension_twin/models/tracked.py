@@ -54,7 +54,7 @@ from suspension_twin.models.live import LiveModel, LiveState
 from suspension_twin.models.parameters import layout, pack
 from suspension_twin.models.registry import Model
 from suspension_twin.models.tracked_kernel import COLUMNS, HULL, PARAMETERS, first_index, walk_lane
-from suspension_twin.models.types import Excitation, HeightField, Ints, LaneResponse, PlanarMotion, Response
+from suspension_twin.models.types import Excitation, HeightField, Ints, LaneResponse, PoseSample, Response
 from suspension_twin.units import STANDARD_GRAVITY as G
 from suspension_twin.vehicle.tracked import Driver, Obstacle, TrackedTwin, TrackedVehicle
 from suspension_twin.vehicle.twin import Twin
@@ -517,10 +517,10 @@ class LiveTracked(LiveModel):
         """Forget everything: the next step starts from static equilibrium."""
         super().reset()
         self._s, self._pose = 0.0, (0.0, 0.0, 0.0)
-        self._before: PlanarMotion | None = None
+        self._before: PoseSample | None = None
         self._yaw_acceleration = 0.0
 
-    def _go_on(self, t: float, motion: PlanarMotion, interval: float, event: str) -> LiveState:
+    def _go_on(self, t: float, motion: PoseSample, interval: float, event: str) -> LiveState:
         self._pose = earlier_pose(motion, self._late)[:3]
         before, self._before = self._before, motion
         if event or before is None:
@@ -576,7 +576,7 @@ class LiveTracked(LiveModel):
         still = np.zeros((1, 2)), np.zeros(0), np.zeros(0, dtype=np.int64)
         return self._walk(still, floor, int(self._mark[0]), self._out[1:], round(SETTLE / self._step))
 
-    def _walk_on(self, interval: float, before: PlanarMotion, motion: PlanarMotion) -> tuple[bool, str]:
+    def _walk_on(self, interval: float, before: PoseSample, motion: PoseSample) -> tuple[bool, str]:
         """Walk an interval: False where the vehicle diverges, and a message about the road, or none."""
         distance = 0.5 * (before.speed + motion.speed) * interval
         mark, travel = int(self._mark[0]), np.array([self._s, self._s + distance])
@@ -624,7 +624,7 @@ class LiveTracked(LiveModel):
         )
         return bool(sound) and bool(np.isfinite(out).all())
 
-    def _state(self, t: float, event: str, motion: PlanarMotion) -> LiveState:
+    def _state(self, t: float, event: str, motion: PoseSample) -> LiveState:
         row = self._out[1]
         z, pitch, _, pv, za, pa = row[:6].tolist()
         c, s = math.cos(pitch), math.sin(pitch)
@@ -670,7 +670,7 @@ def simulate_tracked_drive(twin: TrackedTwin, excitation: Excitation) -> Respons
             live.reset()
         _, ax, ay, yaw_rate, _, speed, lateral_speed = excitation.motion[k, :7].tolist()
         pose = float(path.x[k]), float(path.y[k]), float(path.yaw[k])
-        state = live.step(float(t), PlanarMotion(*pose, speed, lateral_speed, yaw_rate, ax, ay))
+        state = live.step(float(t), PoseSample(*pose, speed, lateral_speed, yaw_rate, ax, ay))
         if state.event.startswith("diverged"):
             raise WorkError(f"the simulation diverges by t = {t:.3f} s: are the road's heights in m?")
         for name in names:

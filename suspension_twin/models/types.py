@@ -17,8 +17,8 @@ __all__ = [
     "Excitation",
     "HeightField",
     "LaneResponse",
-    "PlanarMotion",
     "PlanarPath",
+    "PoseSample",
     "Response",
     "SensorReading",
     "WheelMotion",
@@ -37,7 +37,7 @@ class HeightField(Protocol):
         ...
 
 
-class PlanarMotion(NamedTuple):
+class PoseSample(NamedTuple):
     """Pose and planar motion of ``base_link`` at one stamp, as in :class:`~suspension_twin.pose.types.Trajectory`: m,
     rad, m/s, rad/s, m/s²."""
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the four nodes have in common: parameters, inputs, outputs, diagnostics, reset.
+"""Base of the nodes: parameters, inputs, outputs, diagnostics, reset.
 
 No message stops a node: an exception in a handler becomes a diagnostics entry, a count and one line
 in the log.
@@ -21,12 +21,14 @@ from rclpy.clock import Clock, JumpThreshold, TimeJump
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
+from suspension_twin.live.twin import DigitalTwin
 from suspension_twin.nodes.parameters import Param, ParameterSet, Values
 from suspension_twin.nodes.topics import (
     ERROR,
@@ -37,6 +39,7 @@ from suspension_twin.nodes.topics import (
     Embedding,
     Input,
     InputState,
+    Message,
     Outbox,
     Output,
     type_name,
@@ -70,7 +73,7 @@ COMMON = (
         "max_backlog",
         2.0,
         "Time in s that a message may wait for a node on a computer that is too slow; then the node goes on with the "
-        "newest message and says so. With use_sim_time nothing is skipped.",
+        "newest message and warns. With use_sim_time nothing is skipped.",
         0.1,
         3600.0,
     ),
@@ -148,7 +151,7 @@ def _status(name: str, complaints: list[tuple[bytes, str]], values: dict[str, st
 
 class TwinNode(Node):  # type: ignore[misc]
     """Base of the nodes. A subclass sets ``parameters``, makes its inputs and outputs, and may override
-    ``check``, ``changed``, ``reset`` and ``report``."""
+    ``check``, ``start``, ``reset`` and ``report``."""
 
     common: tuple[Param, ...] = COMMON
     parameters: tuple[Param, ...] = ()
@@ -161,8 +164,11 @@ class TwinNode(Node):  # type: ignore[misc]
             namespace=self.embedding.namespace or None,
             parameter_overrides=list(self.embedding.parameters),
         )
-        self.log: Any = Node.get_logger(self)
+        self.log: RcutilsLogger = Node.get_logger(self)
         self.outbox = self.embedding.outbox or Outbox()
+        self.twin = self.embedding.twin or DigitalTwin()
+        #: The nodes whose stages are in one twin: they are reset together.
+        self.companions: tuple[TwinNode, ...] = (self,)
         self.inputs: dict[str, Input] = {}
         self.outputs: dict[str, Output] = {}
         self.health = Health(self.get_fully_qualified_name().lstrip("/"), time.monotonic)
@@ -172,7 +178,7 @@ class TwinNode(Node):  # type: ignore[misc]
         self._read_limits()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         #: Called with every diagnostics message, beside the topic.
-        self.told: list[Callable[[DiagnosticArray], None]] = []
+        self.diagnostics_links: list[Callable[[DiagnosticArray], None]] = []
         self._measured_at = time.monotonic()
         self._clock_at, self._clock_still = -1.0, 0.0
         #: Whether the clock stands still because somebody paused the replay.
@@ -200,7 +206,12 @@ class TwinNode(Node):  # type: ignore[misc]
         """Raise InputError for ``values`` that cannot be used together."""
 
     def changed(self, names: AbstractSet[str]) -> None:
-        """The parameters ``names`` have new values."""
+        """The parameters ``names`` have new values: with one of the node's own it starts anew."""
+        if names & {p.name for p in self.parameters}:
+            self.start()
+
+    def start(self) -> None:
+        """Take the present values of the parameters, and discard all data received so far."""
 
     def reset(self) -> None:
         """Discard all data received so far."""
@@ -233,7 +244,7 @@ class TwinNode(Node):  # type: ignore[misc]
         return super().create_subscription(*args, **keywords)
 
     def listen(
-        self, kind: type, topic: str, handler: Callable[[Any, int], None], *, expected: bool = True
+        self, kind: type, topic: str, handler: Callable[[Message, int], None], *, expected: bool = True
     ) -> Input:
         """Call ``handler(message, stamp in ns)`` for every message of ``topic``."""
         state = self.health.inputs[topic] = InputState(topic, expected)
@@ -275,7 +286,7 @@ class TwinNode(Node):  # type: ignore[misc]
         self.note(f"wrong frame_id on {topic}", WARN, text)
 
     def note_counts(self, counts: Mapping[str, int], texts: Mapping[str, str]) -> None:
-        """Warn of every counter that has grown since the last call; ``texts`` says what it counts."""
+        """Warn of every counter that has grown since the last call; ``texts`` are the warnings."""
         for code, text in texts.items():
             new = counts[code] - self._counted.get(code, 0)
             if new > 0:
@@ -295,11 +306,13 @@ class TwinNode(Node):  # type: ignore[misc]
         self._shown = set(listed)
 
     def reset_to(self, why: str, ns: int) -> None:
-        """Reset the node: time has jumped back to ``ns``."""
-        for known in self.inputs.values():
-            known.newest = min(known.newest, ns)
-        self.reset()
-        self.note("resets after a jump back in time", OK, f"{why}: the node is reset")
+        """Reset the node and its companions: time has jumped back to ``ns``."""
+        self.twin.reset()
+        for node in self.companions:
+            for known in node.inputs.values():
+                known.newest = min(known.newest, ns)
+            node.reset()
+            node.note("resets after a jump back in time", OK, f"{why}: the node is reset")
 
     def stamp_now(self) -> TimeMessage:
         """The node's time, simulated if ``use_sim_time`` is set."""
@@ -330,8 +343,8 @@ class TwinNode(Node):  # type: ignore[misc]
         message = DiagnosticArray(status=self.health.statuses())
         message.header.stamp = self.stamp_now()
         self._diagnostics.publish(message)
-        for tell in self.told:
-            tell(message)
+        for link in self.diagnostics_links:
+            link(message)
 
     def _find(self, code: str, holds: bool, text: str) -> None:
         """Show a warning while it holds, and log it when it begins."""

@@ -10,13 +10,13 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
 
 from rclpy.action.server import ActionServer, CancelResponse, GoalResponse, ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.task import Future
+from rclpy.timer import Timer
 
 from suspension_twin.calibration.request import Progress
 from suspension_twin.errors import SuspensionTwinError
@@ -26,6 +26,7 @@ from suspension_twin.nodes.jobs import (
     DiagnosisStep,
     Job,
     Outcome,
+    Step,
     Work,
     Worker,
     calibration_job,
@@ -54,12 +55,12 @@ class Action:
     into the fields of the action's result and reports one ``step`` after the other, which have the fields of its
     feedback. ``describe`` puts a step in words. ``has_partial``: a cancelled job returns its best result so far."""
 
-    kind: Any
+    kind: type[Calibrate | Diagnose]
     name: str
     job_of: Callable[..., Job]
     work: Work
-    step: Callable[..., Any]
-    describe: Callable[[Any], str]
+    step: type[Progress | DiagnosisStep]
+    describe: Callable[..., str]
     has_partial: bool
     options: tuple[str, ...] = ()
 
@@ -96,7 +97,7 @@ class _Running:
     goal: ServerGoalHandle
     worker: Worker
     finished: Future
-    steps: deque[Any] = field(default_factory=deque)
+    steps: deque[Step] = field(default_factory=deque)
     outcome: Outcome | None = None
     give_up_at: float = math.inf
 
@@ -128,10 +129,10 @@ class CalibratorNode(TwinNode):
 
     def __init__(self, embedding: Embedding | None = None, works: Mapping[str, Work] | None = None) -> None:
         super().__init__("calibrator", embedding)
-        #: What the worker does for a goal, by the name of the action.
+        #: Work of the worker for a goal, by the name of the action.
         self.works: dict[str, Work] = {a.name: a.work for a in ACTIONS} | dict(works or {})
         self._running: _Running | None = None
-        self._timer: Any = None
+        self._timer: Timer | None = None
         #: A goal that waits for its client holds up nothing else of the node.
         self._goals = ReentrantCallbackGroup()
         self._servers = [
@@ -165,7 +166,7 @@ class CalibratorNode(TwinNode):
         name = "" if self._running is None else self._running.action.name
         return f"a goal of {name} is running: cancel it or wait for its result"
 
-    async def _on_goal(self, action: Action, _goal: Any) -> GoalResponse:
+    async def _on_goal(self, action: Action, _goal: object) -> GoalResponse:
         await self._answerable(f"{self.resolve_service_name(action.name)}/_action/send_goal")
         if self._running is None:
             return GoalResponse.ACCEPT
@@ -204,7 +205,7 @@ class CalibratorNode(TwinNode):
             running.give_up_at = time.monotonic() + patience
         return CancelResponse.ACCEPT
 
-    async def _execute(self, action: Action, goal: ServerGoalHandle) -> Any:
+    async def _execute(self, action: Action, goal: ServerGoalHandle) -> Calibrate.Result | Diagnose.Result:
         if self._running is not None:  # two goals accepted before either began
             goal.abort()
             return action.kind.Result(message=self._busy())
@@ -260,7 +261,7 @@ class CalibratorNode(TwinNode):
             late = "no result within cancel_patience" if running.action.has_partial else "nothing was written"
             running.fail(f"cancelled: {late}")
 
-    def _feed_back(self, running: _Running, step: Any) -> None:
+    def _feed_back(self, running: _Running, step: Step) -> None:
         note = f" ({step.note})" if step.note else ""
         self.health.values["state"] = f"{step.stage}{note}, {running.action.describe(step)}"
         feedback = running.action.kind.Feedback()
@@ -271,7 +272,8 @@ class CalibratorNode(TwinNode):
 
     def _finish(self, running: _Running) -> None:
         self._running = None
-        self.destroy_timer(self._timer)
+        if self._timer is not None:
+            self.destroy_timer(self._timer)
         running.worker.kill()
         running.finished.set_result(running.outcome)
         if self.executor is not None:

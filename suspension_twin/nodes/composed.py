@@ -1,13 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The four nodes in one process, on one thread, passing their messages on directly."""
+"""The nodes of one twin or of many in one process, on one thread, handing on plain records.
+
+All twins of a process share one executor. rclpy's usual ones look at every entity of every node whenever a message
+comes, so that a message costs the more the more twins there are; its events executor takes what has come from a queue,
+at the same cost for any number.
+"""
 
 from __future__ import annotations
 
 import gc
 import math
+import multiprocessing
+import os
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final, Protocol, cast
 
@@ -18,18 +26,19 @@ from rclpy.parameter import Parameter
 from rclpy.validate_namespace import validate_namespace
 
 from suspension_twin.drive.types import Drive
-from suspension_twin.errors import InputError
+from suspension_twin.errors import InputError, SuspensionTwinError, WorkError
+from suspension_twin.live.twin import DigitalTwin
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.calibrator import CalibratorNode
 from suspension_twin.nodes.imu_ingest import ImuIngestNode
 from suspension_twin.nodes.player import BagPlayer
 from suspension_twin.nodes.pose_injector import PoseInjectorNode
-from suspension_twin.nodes.process import WAIT
+from suspension_twin.nodes.process import WAIT, events_executor, ros_context, stopping
 from suspension_twin.nodes.suspension_model import SuspensionModelNode
 from suspension_twin.nodes.topics import ERROR, Embedding, Outbox
 from suspension_twin.registry import Registry
 
-__all__ = ["LINKS", "Composed", "Condition", "Playback", "check_namespace"]
+__all__ = ["LINKS", "Composed", "Condition", "Helpers", "Playback", "TwinFleet", "check_namespace"]
 
 KINDS = {
     "imu_ingest": ImuIngestNode,
@@ -37,8 +46,8 @@ KINDS = {
     "suspension_model": SuspensionModelNode,
     "calibrator": CalibratorNode,
 }
-#: Topics passed on within the process: topic, sender, receiver. No subscription is made for them, so
-#: another publisher of the same topic is ignored.
+#: Topics passed on within the process, as plain records: topic, sender, receiver. No subscription is made for them,
+#: so another publisher of the same topic is ignored.
 LINKS = (
     ("imu/data", "imu_ingest", "pose_injector"),
     ("twin/odom", "pose_injector", "suspension_model"),
@@ -55,7 +64,7 @@ PLAYED = (
 
 #: And so does the node of live sources.
 LIVE = tuple((topic, "source", receiver) for topic, _, receiver in PLAYED)
-#: What the node that learns the road gets beside the others.
+#: Inputs of the node that learns the road beside the others.
 LEARNT = (("twin/odom", "pose_injector", "road_learner"),)
 #: With live sources: s between the executor's turns, and s that one of its callbacks waits at most for a sample to come
 #: first.
@@ -148,11 +157,14 @@ class Composed:
         playback: Playback | None = None,
         sources: Sequence[str] = (),
         learn: Path | None = None,
+        *,
         executor: Executor | None = None,
     ) -> None:
+        #: The live twin, whose stages the nodes hold.
+        self.twin = DigitalTwin()
         outbox = Outbox()
         sensed = PLAYED if playback else LIVE if sources else ()
-        links = LINKS + sensed
+        links = sensed
         if learn is not None:
             links += LEARNT + tuple((topic, sender, "road_learner") for topic, sender, _ in sensed)
         self._shared = executor is not None
@@ -169,7 +181,7 @@ class Composed:
             for name, kind in (KINDS | {name: ADDED.named(name, "nodes") for name in added}).items():
                 if self._shared and name == "calibrator":
                     continue
-                linked = frozenset(topic for topic, _, receiver in links if receiver == name)
+                linked = frozenset(topic for topic, _, receiver in LINKS + links if receiver == name)
                 embedding = Embedding(
                     context,
                     namespace,
@@ -178,13 +190,11 @@ class Composed:
                     outbox,
                     clock_jumps=playback is None,
                     bare=self._shared,
+                    twin=self.twin,
                 )
                 self.nodes[name] = kind(embedding)
                 self.executor.add_node(self.nodes[name])
-            model = self.nodes["suspension_model"]
-            if self._shared and isinstance(model, SuspensionModelNode):
-                for name in ("imu_ingest", "pose_injector"):
-                    self.nodes[name].told.append(model.on_diagnostics)
+            self._connect()
             if sources:
                 urls = Parameter("sources", value=" ".join(sources))
                 embedding = Embedding(context, namespace, (*parameters, urls), outbox=outbox)
@@ -203,6 +213,21 @@ class Composed:
         except BaseException:
             self.close()
             raise
+
+    def _connect(self) -> None:
+        """Put the stages of the nodes into one twin: a sample goes through all of them at once."""
+        ingest, injector, model = (self.nodes[name] for name in list(KINDS)[:3])
+        assert isinstance(ingest, ImuIngestNode) and isinstance(injector, PoseInjectorNode)
+        assert isinstance(model, SuspensionModelNode)
+        self.ingest, self.model = ingest, model
+        #: Called with what every sample gives and its stamp in ns.
+        self.outlets = self.ingest.outlets
+        self.outlets[:0] = [self.model.take, injector.take]
+        for node in (self.ingest, injector, self.model):
+            node.companions = (self.ingest, injector, self.model)
+        if self._shared:
+            for node in (self.ingest, injector):
+                node.diagnostics_links.append(self.model.on_diagnostics)
 
     @property
     def finished(self) -> bool:
@@ -277,8 +302,7 @@ class Composed:
 
     def condition(self) -> Condition:
         """The present state; the rates are those of the last second."""
-        model, ingest = self.nodes["suspension_model"], self.nodes["imu_ingest"]
-        assert isinstance(model, SuspensionModelNode)
+        model, ingest = self.model, self.ingest
         inputs = {t: i.state for node in self.nodes.values() for t, i in node.inputs.items()}
         shown = {"imu": "imu/data_raw", "fix": "fix", "vel": "vel", "twin": "twin/odom"}
         complaints = [
@@ -316,3 +340,139 @@ class Composed:
                 self.executor.remove_node(node)
             node.destroy_node()
         self.nodes.clear()
+
+
+#: s between two reports of a helper process, and between two looks at whether it is still wanted.
+_REPORT, _LOOK = 1.0, 0.1
+#: s that a helper process may take to import everything and to make its twins, at least and for each twin.
+_STARTING, _EACH = 60.0, 2.0
+
+
+class TwinFleet:
+    """Twins in one process, on one thread. ``twins`` maps a namespace to a twin file."""
+
+    def __init__(self, context: Context, twins: Mapping[str, str]) -> None:
+        self.executor = events_executor(context)
+        self.twins: dict[str, Composed] = {}
+        try:
+            for namespace, file in twins.items():
+                self.twins[namespace] = Composed(context, file, namespace, executor=self.executor)
+        except BaseException:
+            self.close()
+            raise
+
+    def step(self, most: float = WAIT) -> None:
+        """Serve one callback; returns after ``most`` s at the latest."""
+        self.executor.spin_once(timeout_sec=most)
+
+    def conditions(self) -> dict[str, Condition]:
+        """The present state of every twin, by namespace."""
+        return {namespace: twin.condition() for namespace, twin in self.twins.items()}
+
+    def parameter_names(self) -> dict[str, list[str]]:
+        """The names of all parameters, by node."""
+        return next(iter(self.twins.values())).parameter_names()
+
+    def settle_memory(self) -> None:
+        """See :meth:`Composed.settle_memory`."""
+        next(iter(self.twins.values())).settle_memory()
+
+    def close(self) -> None:
+        """Shut everything down."""
+        for twin in self.twins.values():
+            twin.close()
+        self.twins.clear()
+        self.executor.shutdown()
+
+
+class Helpers:
+    """Processes that hold a share of the twins each, and report their conditions every second.
+
+    ``shares`` has the twins of each process, ``arguments`` are those for ROS. Raises what a process raises while it
+    starts. A context manager: at its end the processes end.
+    """
+
+    def __init__(self, shares: Sequence[Mapping[str, str]], arguments: Sequence[str]) -> None:
+        spawn = multiprocessing.get_context("spawn")
+        self._known: dict[str, Condition] = {}
+        self._processes: list[tuple[Any, Connection]] = []
+        for share in shares:
+            here, there = spawn.Pipe()
+            process = spawn.Process(target=_help, args=(there, dict(share), list(arguments)), daemon=True)
+            process.start()
+            there.close()
+            self._processes.append((process, here))
+        self._until = time.monotonic() + _STARTING + _EACH * max(map(len, shares), default=0)
+
+    def __enter__(self) -> Helpers:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        for process, connection in self._processes:
+            connection.close()  # by which it knows
+            process.join(1.0)
+            if process.is_alive():
+                process.kill()
+
+    @property
+    def pids(self) -> list[int]:
+        """Ids of the processes."""
+        return [process.pid for process, _ in self._processes]
+
+    def wait(self, going_on: Callable[[], bool]) -> None:
+        """Wait until every process has made its twins, while ``going_on``."""
+        for process, connection in self._processes:
+            while not connection.poll(WAIT):
+                if not going_on():
+                    return
+                if time.monotonic() > self._until or not process.is_alive():
+                    raise WorkError("a process of the fleet did not start")
+            self._take(connection)
+
+    def conditions(self) -> dict[str, Condition]:
+        """The state of every twin by its last report, by namespace.
+
+        Raises WorkError where a process has ended."""
+        for process, connection in self._processes:
+            try:
+                while connection.poll():
+                    self._take(connection)
+            except (EOFError, OSError):
+                raise WorkError(
+                    f"a process of the fleet has ended (exit status {process.exitcode})"
+                ) from None
+        return dict(self._known)
+
+    def _take(self, connection: Connection) -> None:
+        report = connection.recv()
+        if isinstance(report, SuspensionTwinError):
+            raise report
+        self._known.update(report)
+
+
+def _help(connection: Connection, twins: dict[str, str], arguments: list[str]) -> None:
+    """One process of :class:`Helpers`: ends when the other end of the connection is closed."""
+    with stopping():
+        try:
+            with ros_context(arguments) as context:
+                fleet = TwinFleet(context, twins)
+                try:
+                    fleet.settle_memory()
+                    report = look = 0.0
+                    while context.ok():
+                        now = time.monotonic()
+                        if now >= report:
+                            connection.send(fleet.conditions())
+                            report = now + _REPORT
+                        if now >= look:
+                            look = now + _LOOK
+                            if connection.poll():
+                                break
+                        fleet.step()
+                finally:
+                    fleet.close()
+        except SuspensionTwinError as error:
+            connection.send(error)
+        except (EOFError, OSError):
+            pass
+    os._exit(0)  # the regular exit takes half a second with a compiler loaded

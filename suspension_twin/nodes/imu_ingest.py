@@ -1,21 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node of the IMU: ``imu/data_raw`` to ``imu/data`` and ``imu/vertical_acceleration``.
 
-The signal processing is :class:`~suspension_twin.signals.ingest.ImuIngest`.
+It is the first stage of :class:`~suspension_twin.live.twin.DigitalTwin`. Where all stages are in one process, a sample
+goes through them here.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Set as AbstractSet
-from functools import cache, partial
+from collections.abc import Callable
+from functools import partial
 
 from geometry_msgs.msg import AccelStamped
 from sensor_msgs.msg import Imu
 
 from suspension_twin.errors import InputError
 from suspension_twin.inference.sensor_correction import SensorCorrection
+from suspension_twin.live.twin import Update, compile_stages, ingest_stage
 from suspension_twin.nodes.base import TwinNode
+from suspension_twin.nodes.messages import put_stamp
 from suspension_twin.nodes.parameters import (
     FILTER,
     LOW_PASS,
@@ -28,9 +31,7 @@ from suspension_twin.nodes.parameters import (
 )
 from suspension_twin.nodes.process import run_alone
 from suspension_twin.nodes.topics import Embedding
-from suspension_twin.signals.ingest import ImuIngest, ImuSettings
-from suspension_twin.signals.standstill import StillLimits
-from suspension_twin.vehicle.twin import Place
+from suspension_twin.signals.imu import ImuSettings, StillLimits
 
 __all__ = ["ImuIngestNode", "main"]
 
@@ -113,36 +114,31 @@ class ImuIngestNode(TwinNode):
 
     def __init__(self, embedding: Embedding | None = None) -> None:
         super().__init__("imu_ingest", embedding)
-        _compile()
-        self._data = Imu()
-        self._data.header.frame_id = self.frame(self.values["base_frame"])
+        compile_stages()
+        self._data, self._vertical = Imu(), AccelStamped()
         self._data.orientation_covariance[0] = -1.0
-        self._vertical = AccelStamped()
-        self._vertical.header.frame_id = self.frame(self.values["base_frame"])
+        for message in (self._data, self._vertical):
+            message.header.frame_id = self.frame(self.values["base_frame"])
         self._data_out = self.offer(Imu, "imu/data")
         self._vertical_out = self.offer(AccelStamped, "imu/vertical_acceleration")
-        self._start()
+        #: Called with what every sample gives and its stamp in ns, the most urgent first.
+        self.outlets: list[Callable[[Update, int], None]] = [self.publish]
+        self.start()
         self.listen(Imu, "imu/data_raw", self._on_imu)
 
     def check(self, values: Values) -> None:
         """See the base class."""
         _settings(values)
 
-    def changed(self, names: AbstractSet[str]) -> None:
-        """See the base class: any new setting resets the node."""
-        if names & {p.name for p in self.parameters}:
-            self._start()
-
-    def _start(self) -> None:
+    def start(self) -> None:
+        """See the base class."""
         twin = twin_of(self.values)
         self._frame = None if twin is None else twin.imu.frame
         # a tilt that the twin simulates is expected in the measured signals
-        self._silent = (
-            *_COUNTED,
-            *(() if twin is None or SensorCorrection.of_twin(twin).turn is None else ("tilted",)),
-        )
-        self._ingest = ImuIngest(_settings(self.values), Place() if twin is None else twin.imu)
-        self.reset()
+        turned = twin is not None and SensorCorrection.of_twin(twin).turn is not None
+        self._silent = (*_COUNTED, *(("tilted",) if turned else ()))
+        self._ingest = self.twin.ingest = ingest_stage(twin, _settings(self.values))
+        self._counted.clear()
 
     def reset(self) -> None:
         """See the base class."""
@@ -158,18 +154,28 @@ class ImuIngestNode(TwinNode):
                 "message dropped: no linear_acceleration (linear_acceleration_covariance[0] is -1)",
             )
         a, w = message.linear_acceleration, message.angular_velocity
-        out = self._ingest.push(ns / 1e9, (a.x, a.y, a.z), (w.x, w.y, w.z))
-        if out is None:
+        update = self.twin.push_imu(ns / 1e9, (a.x, a.y, a.z), (w.x, w.y, w.z))
+        if update is not None:
+            for take in self.outlets:
+                take(update, ns)
+
+    def publish(self, update: Update, ns: int) -> None:
+        """Publish the filtered sample."""
+        sample = update.sample
+        if sample is None:
             return
-        data, vertical = self._data, self._vertical
-        data.header.stamp = vertical.header.stamp = message.header.stamp
-        vector = data.linear_acceleration
-        vector.x, vector.y, vector.z = out.force
-        vector = data.angular_velocity
-        vector.x, vector.y, vector.z = out.rate
-        vertical.accel.linear.z = out.vertical_acceleration
-        self._data_out.send(data)
-        self._vertical_out.send(vertical)
+        if self._data_out.wanted:
+            put_stamp(self._data.header, ns)
+            force, rate = self._data.linear_acceleration, self._data.angular_velocity
+            force.x, force.y, force.z = sample.force
+            rate.x, rate.y, rate.z = sample.rate
+            self._data_out.send(self._data)
+        if self._vertical_out.wanted:
+            put_stamp(self._vertical.header, ns)
+            linear, angular = self._vertical.accel.linear, self._vertical.accel.angular
+            linear.x, linear.y, linear.z = sample.acceleration
+            angular.x, angular.y, angular.z = sample.angular_acceleration
+            self._vertical_out.send(self._vertical)
 
     def report(self) -> None:
         """See the base class."""
@@ -197,14 +203,6 @@ def _settings(values: Values) -> ImuSettings:
         attitude_time=values["attitude_time"],
         still=StillLimits(**{k: values[f"still.{k}"] for k in ("window", "force", "rate", "turn")}),
     )
-
-
-@cache
-def _compile() -> None:
-    """Compile before the first message: a second of standstill."""
-    ingest = ImuIngest(ImuSettings(), Place())
-    for k in range(120):
-        ingest.push(1.0 + 0.01 * k, (0.0, 0.0, 9.81), (0.0, 0.0, 0.0))
 
 
 main = partial(run_alone, ImuIngestNode)

@@ -36,6 +36,7 @@ __all__ = [
     "Job",
     "News",
     "Outcome",
+    "Step",
     "Work",
     "Worker",
     "calibration_job",
@@ -190,7 +191,9 @@ def run_diagnosis(
     }
 
 
-#: What runs in the worker process: the job, a function for progress, a function that says whether to stop.
+#: Progress of either job.
+Step = calibration.Progress | DiagnosisStep
+#: Work of the worker process: the job, a function for progress, a function that asks whether to stop.
 Work = Callable[[Job, Callable[[Any], None], Callable[[], bool]], Outcome]
 
 

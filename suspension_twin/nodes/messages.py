@@ -5,16 +5,83 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import QuaternionStamped, TwistStamped
+from geometry_msgs.msg import Quaternion, QuaternionStamped, TwistStamped
+from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Imu, NavSatFix
+from std_msgs.msg import Header
 
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.types import FixData, HeadingData, ImuData, VelocityData
+from suspension_twin.errors import InputError
+from suspension_twin.nodes.topics import NS, Message
+from suspension_twin.pose.lock import PlanarMotion, PlanarState
 
-__all__ = ["fill_fix", "fill_heading", "fill_imu", "fill_velocity", "read_fix", "read_imu", "read_velocity"]
+__all__ = [
+    "fill_fix",
+    "fill_heading",
+    "fill_imu",
+    "fill_odometry",
+    "fill_velocity",
+    "put_stamp",
+    "read_fix",
+    "read_imu",
+    "read_odometry",
+    "read_velocity",
+    "sigmas_of",
+    "yaw_of",
+]
+
+#: rad²: variance of a yaw from which it counts as not known.
+YAW_UNKNOWN = 1.0
+#: Limits of a plausible odometry: distance from the datum (m), speeds (m/s, rad/s).
+_FARTHEST, _FASTEST = 1e8, 1e3
+
+
+def put_stamp(header: Header, ns: int) -> None:
+    """The stamp of a header, in ns."""
+    header.stamp.sec, header.stamp.nanosec = divmod(ns, NS)
+
+
+def yaw_of(q: Quaternion) -> float:
+    """Yaw in rad of a quaternion."""
+    return math.atan2(2.0 * (q.w * q.z + q.x * q.y), q.w * q.w + q.x * q.x - q.y * q.y - q.z * q.z)
+
+
+def sigmas_of(fix: NavSatFix) -> tuple[float, float]:
+    """Standard deviations east and north in m of a fix, NaN where the receiver gives none."""
+    east, north = fix.position_covariance[0], fix.position_covariance[4]
+    if fix.position_covariance_type == NavSatFix.COVARIANCE_TYPE_UNKNOWN or min(east, north) < 0:
+        return math.nan, math.nan
+    return math.sqrt(east), math.sqrt(north)
+
+
+def fill_odometry(state: PlanarState, odom: Odometry) -> None:
+    """Put a locked pose into a message, all but its stamp."""
+    pose, twist, covariance = odom.pose.pose, odom.twist.twist, odom.pose.covariance
+    pose.position.x, pose.position.y = state.x, state.y
+    pose.orientation.z, pose.orientation.w = math.sin(state.yaw / 2), math.cos(state.yaw / 2)
+    motion = state.motion
+    twist.linear.x, twist.linear.y, twist.angular.z = motion.speed, motion.lateral_speed, motion.yaw_rate
+    xx, xy, xyaw, yy, yyaw, yawyaw = state.covariance
+    covariance[0], covariance[7], covariance[35] = xx, yy, yawyaw
+    covariance[1] = covariance[6] = xy
+    covariance[5] = covariance[30] = xyaw
+    covariance[11] = covariance[31] = yyaw
+
+
+def read_odometry(odom: Odometry, t: float) -> PlanarState:
+    """The pose of a message at ``t`` s; its accelerations are not known. Raises InputError for a value out of range."""
+    p, twist, covariance = odom.pose.pose.position, odom.twist.twist, odom.pose.covariance
+    yaw, v, turn = yaw_of(odom.pose.pose.orientation), twist.linear, twist.angular.z
+    near = abs(p.x) < _FARTHEST and abs(p.y) < _FARTHEST and math.isfinite(yaw)
+    if not (near and abs(v.x) < _FASTEST and abs(v.y) < _FASTEST and abs(turn) < _FASTEST):
+        raise InputError("twin/odom", "message dropped: a value is not finite or out of range")
+    known = bool(covariance[35] < YAW_UNKNOWN)
+    xx, xy, xyaw, yy, yyaw, yawyaw = (float(covariance[k]) for k in (0, 1, 5, 7, 11, 35))
+    motion = PlanarMotion(v.x, v.y, turn, math.nan, math.nan)
+    return PlanarState(t, p.x, p.y, yaw, motion, known, known, (xx, xy, xyaw, yy, yyaw, yawyaw))
 
 
 def fill_imu(imu: ImuData, message: Imu, i: int) -> None:
@@ -84,5 +151,5 @@ def read_velocity(messages: Sequence[TwistStamped]) -> VelocityData:
     return VelocityData(_stamps(messages), np.array(enu).reshape(-1, 3))
 
 
-def _stamps(messages: Sequence[Any]) -> Floats:
+def _stamps(messages: Sequence[Message]) -> Floats:
     return np.array([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in messages], dtype=np.float64)

@@ -59,7 +59,7 @@ class Param:
     choices: tuple[str, ...] = ()
 
     def descriptor(self) -> ParameterDescriptor:
-        """What ``ros2 param describe`` shows."""
+        """Description for ``ros2 param describe``."""
         out = ParameterDescriptor(name=self.name, description=self.text, read_only=self.read_only)
         if self.low is not None and self.high is not None:
             if isinstance(self.default, float):
@@ -198,7 +198,7 @@ def low_pass_text(values: Values) -> str:
 def read_param_file(path: Path) -> dict[str, dict[str, Any]]:
     """Values by node (as the file names it: a name, a path or a pattern) and dotted parameter name.
 
-    Raises InputError that says what is wrong with the file.
+    Raises InputError for a file of another form.
     """
     data = read_yaml(path)
     if not isinstance(data, dict):

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import QuaternionStamped, TwistStamped
-from numpy.typing import NDArray
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
 from rclpy.clock import Clock as SystemClock
 from rclpy.clock_type import ClockType
@@ -23,9 +22,8 @@ from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, NavSatFix
 
-from suspension_twin.arrays import Floats
-from suspension_twin.drive.checks import nanoseconds
 from suspension_twin.drive.types import Drive, HeadingData
+from suspension_twin.live.twin import schedule
 from suspension_twin.nodes.messages import fill_fix, fill_heading, fill_imu, fill_velocity
 from suspension_twin.nodes.topics import NS, STREAM_QOS, Embedding, Outbox, Output
 
@@ -43,7 +41,7 @@ _LEAST_BACK = 1.5
 #: Range of the parameter ``rate``; 0 is full speed.
 _FASTEST = 1000.0
 #: s between two messages on /diagnostics.
-_TOLD_EVERY = 0.5
+_REPORT_EVERY = 0.5
 
 
 class BagPlayer(Node):  # type: ignore[misc]
@@ -54,8 +52,8 @@ class BagPlayer(Node):  # type: ignore[misc]
     and time jumps back. The first message is sent after ``delay`` s, in which subscribers connect. With ``stay`` the
     player waits at the end to be sent back.
 
-    While it plays it is led by its parameters: ``rate``, ``paused``, and ``seek``, which goes to a position in s. Where
-    it is, it says on ``/diagnostics``.
+    While it plays it is led by its parameters: ``rate``, ``paused``, and ``seek``, which goes to a position in s. It
+    reports its position on ``/diagnostics``.
     """
 
     def __init__(
@@ -96,8 +94,7 @@ class BagPlayer(Node):  # type: ignore[misc]
                 partial(fill_heading, heading or HeadingData(np.empty(0), np.empty(0))),
             ),
         )
-        stamps = [drive.imu.t, drive.fix.t, drive.velocity.t, np.empty(0) if heading is None else heading.t]
-        self._ns, self._kind, self._index = _schedule(stamps)
+        self._ns, self._kind, self._index = schedule(drive)
         self._when = np.maximum.accumulate(self._ns)
         self.start = int(self._ns[0])
         self.end = int(self._ns[-1])
@@ -118,9 +115,9 @@ class BagPlayer(Node):  # type: ignore[misc]
         self.declare_parameter("paused", False, ParameterDescriptor(description="Whether the replay rests."))
         self.add_on_set_parameters_callback(self._on_set)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.create_timer(_TOLD_EVERY, self._tell, clock=SystemClock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(_REPORT_EVERY, self._report, clock=SystemClock(clock_type=ClockType.STEADY_TIME))
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         values = {
             "start (ns)": str(self.start),
             "position": f"{self.position:.3f}",
@@ -260,14 +257,3 @@ class BagPlayer(Node):  # type: ignore[misc]
             self.ended = True
         else:
             self.done = True
-
-
-def _schedule(stamps: list[Floats]) -> tuple[NDArray[np.int64], NDArray[np.int8], NDArray[np.int64]]:
-    """Stamps in ns, kinds and indices of all messages in the order in which they are sent: by stamp, late ones late."""
-    ns = [nanoseconds(t) for t in stamps]
-    when = [np.maximum.accumulate(part) if part.size else part for part in ns]
-    kind = np.concatenate([np.full(part.size, k, dtype=np.int8) for k, part in enumerate(ns)])
-    index = np.concatenate([np.arange(part.size) for part in ns])
-    # The slower topics first: a fix belongs before the sample of the same stamp.
-    order = np.lexsort((-kind, np.concatenate(when)))
-    return np.concatenate(ns)[order], kind[order], index[order]

@@ -1,24 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node that locks the twin to the vehicle: GPS and ``imu/data`` to ``twin/odom``.
 
-The estimation of the pose is :class:`~suspension_twin.pose.lock.PoseLock`.
+It is the second stage of :class:`~suspension_twin.live.twin.DigitalTwin`.
 """
 
 from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Set as AbstractSet
-from functools import cache, partial
+from functools import partial
 
 from geometry_msgs.msg import QuaternionStamped, TwistStamped
 from nav_msgs.msg import Odometry
 from pydantic import ValidationError
 from sensor_msgs.msg import Imu, NavSatFix
 
-from suspension_twin.errors import InputError, WorkError
-from suspension_twin.inference.sensor_correction import SensorCorrection
+from suspension_twin.errors import InputError
+from suspension_twin.live.twin import Update, compile_stages, delay_of, lock_stage
 from suspension_twin.nodes.base import TwinNode
+from suspension_twin.nodes.messages import fill_odometry, put_stamp, sigmas_of, yaw_of
 from suspension_twin.nodes.parameters import (
     FILTER,
     LOW_PASS,
@@ -31,8 +31,7 @@ from suspension_twin.nodes.parameters import (
 )
 from suspension_twin.nodes.process import run_alone
 from suspension_twin.nodes.topics import Embedding
-from suspension_twin.pose.lock import PlanarState, PoseLock
-from suspension_twin.pose.settings import PoseSettings
+from suspension_twin.pose.types import PoseSettings
 from suspension_twin.vehicle.twin import Datum
 from suspension_twin_interfaces.srv import SetDatum
 
@@ -43,6 +42,7 @@ _COUNTED = {
     "refused": "outliers among fixes and velocities, dropped",
     "too_late": "fixes that arrived too late, dropped",
     "from_the_future": "fixes stamped ahead of the IMU, dropped (check that the clocks agree)",
+    "not_finite": "the estimated pose is not finite: the estimation is restarted",
     "relocated": "jumps of the pose to the position of the fixes",
 }
 
@@ -61,8 +61,6 @@ _SETTINGS = (
     ("snap", "Distance in m from which a correction is applied at once.", 0.1, 1000.0),
     ("history", "Time in s by which a fix may be late and still be used.", 0.1, 10.0),
 )
-#: Hz at which the delay of the low-pass is computed: it hardly depends on the sample rate.
-_FAST = 20_000.0
 
 
 class PoseInjectorNode(TwinNode):
@@ -101,13 +99,13 @@ class PoseInjectorNode(TwinNode):
 
     def __init__(self, embedding: Embedding | None = None) -> None:
         super().__init__("pose_injector", embedding)
-        _compile()
+        compile_stages()
         self._odom = Odometry(child_frame_id=self.frame(self.values["base_frame"]))
         self._odom.header.frame_id = self.values["map_frame"]
         for free in (14, 21, 28):  # z, roll and pitch are not estimated here
             self._odom.pose.covariance[free] = 1.0e6
         self._out = self.offer(Odometry, "twin/odom")
-        self._start()
+        self.start()
         self.listen(Imu, "imu/data", self._on_imu)
         self.listen(NavSatFix, "fix", self._on_fix)
         self.listen(TwistStamped, "vel", self._on_velocity)
@@ -119,19 +117,11 @@ class PoseInjectorNode(TwinNode):
         twin_of(values)
         _settings(values)
 
-    def changed(self, names: AbstractSet[str]) -> None:
-        """See the base class: any new setting resets the node."""
-        if names & {p.name for p in self.parameters}:
-            self._start()
-
-    def _start(self) -> None:
+    def start(self) -> None:
+        """See the base class."""
         twin = twin_of(self.values)
         self._frame = None if twin is None else twin.gps.frame
-        gps, imu, turn = (
-            (None, None, None) if twin is None else (twin.gps, twin.imu, SensorCorrection.of_twin(twin).turn)
-        )
-        gain = 1.0 if twin is None else SensorCorrection.of_twin(twin).gain
-        self._lock = PoseLock(_settings(self.values), gps, _datum(self.values), imu, turn, gain)
+        self._lock = self.twin.lock = lock_stage(twin, _settings(self.values), _datum(self.values))
         self._counted.clear()
 
     def reset(self) -> None:
@@ -143,29 +133,28 @@ class PoseInjectorNode(TwinNode):
         a, w = message.linear_acceleration, message.angular_velocity
         if not math.isfinite(a.x + a.y + a.z + w.x + w.y + w.z):
             raise InputError("imu/data", "message dropped: a value is not finite")
-        state = self._lock.on_imu(ns / 1e9, (a.x, a.y, a.z), (w.x, w.y, w.z))
-        if state is None:
-            return
-        if not math.isfinite(state.x + state.y + state.yaw + state.speed + state.yaw_rate):
-            self._lock.reset()
-            raise WorkError("the estimated pose is not finite: the estimation is restarted")
-        self._odom.header.stamp = message.header.stamp
-        _fill(self._odom, state)
-        self._out.send(self._odom)
+        pose = self._lock.on_imu(ns / 1e9, (a.x, a.y, a.z), (w.x, w.y, w.z))
+        self.publish(Update(None, pose), ns)
+
+    def take(self, update: Update, ns: int) -> None:
+        """Publish what the twin makes of a sample that has gone through all stages in this process."""
+        self.inputs["imu/data"].arrived(ns)
+        self.publish(update, ns)
+
+    def publish(self, update: Update, ns: int) -> None:
+        """Publish the locked pose."""
+        if update.pose is not None and self._out.wanted:
+            put_stamp(self._odom.header, ns)
+            fill_odometry(update.pose, self._odom)
+            self._out.send(self._odom)
 
     def _on_fix(self, message: NavSatFix, ns: int) -> None:
         if self._frame is not None and not self.is_frame(message.header.frame_id, self._frame):
             self.note_frame("fix", message.header.frame_id, self._frame)
         # Not set (-2 in Jazzy) is not the same as no fix (-1): the position is there.
         status = 0 if message.status.status < -1 else message.status.status
-        sigma = (math.nan, math.nan)
-        variance = message.position_covariance
-        if (
-            message.position_covariance_type != NavSatFix.COVARIANCE_TYPE_UNKNOWN
-            and min(variance[0], variance[4]) >= 0
-        ):
-            sigma = math.sqrt(variance[0]), math.sqrt(variance[4])
-        self._lock.on_fix(ns / 1e9, message.latitude, message.longitude, message.altitude, status, *sigma)
+        place = message.latitude, message.longitude, message.altitude
+        self._lock.on_fix(ns / 1e9, *place, status, *sigmas_of(message))
 
     def _on_velocity(self, message: TwistStamped, ns: int) -> None:
         self._lock.on_velocity(ns / 1e9, message.twist.linear.x, message.twist.linear.y)
@@ -175,8 +164,7 @@ class PoseInjectorNode(TwinNode):
         norm = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w
         if not abs(norm - 1.0) < 0.02:
             raise InputError("heading", "message dropped: the quaternion is not normalised")
-        yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), q.w * q.w + q.x * q.x - q.y * q.y - q.z * q.z)
-        self._lock.on_heading(ns / 1e9, yaw)
+        self._lock.on_heading(ns / 1e9, yaw_of(q))
 
     def _set_datum(self, request: SetDatum.Request, response: SetDatum.Response) -> SetDatum.Response:
         try:
@@ -210,22 +198,10 @@ class PoseInjectorNode(TwinNode):
         values["datum"] = shown
 
 
-def _fill(odom: Odometry, state: PlanarState) -> None:
-    pose, twist, covariance = odom.pose.pose, odom.twist.twist, odom.pose.covariance
-    pose.position.x, pose.position.y = state.x, state.y
-    pose.orientation.z, pose.orientation.w = math.sin(state.yaw / 2), math.cos(state.yaw / 2)
-    twist.linear.x, twist.linear.y, twist.angular.z = state.speed, state.lateral_speed, state.yaw_rate
-    xx, xy, xyaw, yy, yyaw, yawyaw = state.covariance
-    covariance[0], covariance[7], covariance[35] = xx, yy, yawyaw
-    covariance[1] = covariance[6] = xy
-    covariance[5] = covariance[30] = xyaw
-    covariance[11] = covariance[31] = yyaw
-
-
 def _settings(values: Values) -> PoseSettings:
     """Settings of the pose lock; raises InputError for values that do not fit together."""
     given = values["imu_delay"]
-    delay = filter_of(values).delay(_FAST) if given < 0 else given
+    delay = delay_of(filter_of(values)) if given < 0 else given
     return PoseSettings(imu_delay=delay, **{name: values[name] for name, *_ in _SETTINGS})
 
 
@@ -235,19 +211,6 @@ def _datum(values: Values) -> Datum | None:
         return Datum(**{k: values[f"datum.{k}"] for k in ("latitude", "longitude", "altitude")})
     twin = twin_of(values)
     return None if twin is None or values["datum.source"] == "first_fix" else twin.datum
-
-
-@cache
-def _compile() -> None:
-    """Compile before the first message: a second of driving east, with every kind of GPS message."""
-    lock = PoseLock(datum=Datum(latitude=0.0, longitude=0.0))
-    for k in range(100):
-        t = 1.0 + 0.01 * k
-        if k % 10 == 0:
-            lock.on_fix(t - 0.025, 0.0, 10.0 * t / 111_319.5, 0.0, 2)
-            lock.on_velocity(t - 0.025, 10.0, 0.0)
-            lock.on_heading(t - 0.025, 0.0)
-        lock.on_imu(t, (0.0, 0.0, 9.81), (0.0, 0.0, 0.0))
 
 
 main = partial(run_alone, PoseInjectorNode)

@@ -152,7 +152,7 @@ def check_arguments(args: list[str]) -> None:
 
 
 def help_text(kind: Any, program: str) -> str:
-    """What ``--help`` prints for the program of a node: what it does, and its parameters with their defaults."""
+    """Help of a node's program: its purpose, and its parameters with their defaults."""
     lines = [f"Usage: {program} [--ros-args -p NAME:=VALUE -r FROM:=TO ...]", ""]
     lines += [
         *textwrap.wrap(" ".join((kind.__doc__ or "").replace("``", "").split()), 80),
@@ -183,7 +183,7 @@ def run_alone(
     make: Callable[[Embedding], Node],
     args: list[str] | None = None,
     events: bool = False,
-) -> Any:
+) -> int:
     """Run one node until it is asked to stop; return the exit status. With ``events`` rclpy's events executor serves
     it, which logs whatever a callback raises: a signal does not interrupt one then."""
     try:

@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +23,12 @@ from suspension_twin.arrays import Floats
 from suspension_twin.calibration.request import Progress
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import WorkError
+from suspension_twin.live.twin import Update
 from suspension_twin.nodes.composed import Composed, Playback
 from suspension_twin.nodes.process import ros_context
+from suspension_twin.nodes.topics import NS
 from suspension_twin_interfaces.action import Calibrate
+from suspension_twin_interfaces.msg import Gap
 
 __all__ = ["CalibrateAnswer", "Replay", "Session", "session"]
 
@@ -37,7 +39,7 @@ _DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """What the nodes published while a drive was played.
+    """Messages that the nodes published while a drive was played.
 
     ``t`` (n,) s stamps that both signals have; ``measured`` and ``simulated`` (n,) m/s² from
     ``imu/vertical_acceleration`` and ``twin/vertical_acceleration``. ``path`` (m, 6) from ``twin/odom``:
@@ -63,7 +65,6 @@ class CalibrateAnswer:
     cost: float
     initial_cost: float
     evaluations: int
-    generations: int
     values: dict[str, float]
     excited: dict[str, bool]
     wall: float
@@ -88,23 +89,35 @@ class Session:
         Raises InputError for a wrong twin file, WorkError where nothing was simulated.
         """
         began = time.monotonic()
-        rows: dict[str, list[tuple[float, ...]]] = {topic: [] for topic in _COLUMNS}
+        signals: list[tuple[float, ...]] = []
+        path: list[tuple[float, ...]] = []
+        gap: list[tuple[float, float]] = []
+
+        def take(update: Update, ns: int) -> None:
+            t, pose, at = ns / NS, update.pose, update.followed
+            if pose is not None:
+                sigma = math.sqrt(max(pose.covariance[5], 0.0)) if pose.aligned else math.inf
+                path.append((t, pose.x, pose.y, pose.yaw, pose.motion.speed, sigma))
+            if at is not None and not math.isnan(at.vertical_acceleration):
+                signals.append((t, at.measured, at.vertical_acceleration))
+
+        def keep(message: Gap) -> None:
+            stamp = message.header.stamp
+            gap.append((stamp.sec + 1e-9 * stamp.nanosec, message.rms))
+
         with self._composed(twin_file, Playback(drive, rate)) as composed:
-            for node in composed.nodes.values():
-                for topic in rows.keys() & node.outputs.keys():
-                    node.outputs[topic].links.append(partial(_keep, rows[topic], _COLUMNS[topic]))
+            composed.outlets.append(take)
+            composed.model.outputs["twin/gap"].links.append(keep)
             player = composed.player
             assert player is not None
             while not composed.finished:
                 composed.step()
                 on_progress(min(player.position / max(player.duration, 1e-9), 1.0))
-        tables = {topic: np.array(kept, dtype=np.float64) for topic, kept in rows.items()}
-        measured, simulated = tables["imu/vertical_acceleration"], tables["twin/vertical_acceleration"]
-        if not simulated.size:
+        if not signals:
             raise WorkError(f"{drive.name}: none of {len(drive.imu)} IMU samples was simulated")
-        t, at, also = np.intersect1d(measured[:, 0], simulated[:, 0], return_indices=True)
-        path, gap = tables["twin/odom"], tables["twin/gap"].reshape(-1, 2)
-        return Replay(t, measured[at, 1], simulated[also, 1], path, gap, time.monotonic() - began)
+        t, measured, simulated = np.array(signals).T
+        gaps = np.array(gap).reshape(-1, 2)
+        return Replay(t, measured, simulated, np.array(path), gaps, time.monotonic() - began)
 
     def calibrate(
         self,
@@ -161,7 +174,6 @@ class Session:
             answer.cost,
             answer.initial_cost,
             answer.evaluations,
-            answer.generations,
             values=dict(zip(answer.names, answer.values, strict=True)),
             excited=dict(zip(answer.names, answer.excited, strict=True)),
             wall=time.monotonic() - began,
@@ -180,26 +192,6 @@ def _wait(composed: Composed, future: Any) -> Any:
     while not future.done():
         composed.step()
     return future.result()
-
-
-def _keep(rows: list[tuple[float, ...]], columns: Callable[[Any], tuple[float, ...]], message: Any) -> None:
-    stamp = message.header.stamp
-    rows.append((stamp.sec + 1e-9 * stamp.nanosec, *columns(message)))
-
-
-def _odometry(message: Any) -> tuple[float, ...]:
-    p, q, variance = message.pose.pose.position, message.pose.pose.orientation, message.pose.covariance[35]
-    sigma = math.sqrt(variance) if 0.0 <= variance < 1.0 else math.inf
-    return p.x, p.y, 2.0 * math.atan2(q.z, q.w), message.twist.twist.linear.x, sigma
-
-
-#: What is kept of a message beside its stamp, by topic.
-_COLUMNS: dict[str, Callable[[Any], tuple[float, ...]]] = {
-    "imu/vertical_acceleration": lambda m: (m.accel.linear.z,),
-    "twin/vertical_acceleration": lambda m: (m.accel.linear.z,),
-    "twin/odom": _odometry,
-    "twin/gap": lambda m: (m.rms,),
-}
 
 
 @contextmanager

@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Set as AbstractSet
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import AccelStamped
@@ -20,10 +18,11 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from suspension_twin.errors import InputError
-from suspension_twin.inference.sliding_window import GapNow
+from suspension_twin.live.follow import BodyAcceleration, Follower, FollowSettings, Pairing
+from suspension_twin.live.gap import GapNow, calibration_gap
+from suspension_twin.live.twin import Update, compile_stages
 from suspension_twin.nodes.base import TwinNode
-from suspension_twin.nodes.follower import Follower, Paired, Pairing, PlanarRow
-from suspension_twin.nodes.live_gap import GAP, calibration_gap, gap_of, gap_warning
+from suspension_twin.nodes.messages import read_odometry
 from suspension_twin.nodes.parameters import (
     FILTER,
     LOW_PASS,
@@ -37,19 +36,41 @@ from suspension_twin.nodes.parameters import (
 from suspension_twin.nodes.process import run_alone
 from suspension_twin.nodes.topics import ERROR, OK, WARN, Embedding
 from suspension_twin.nodes.twin_outputs import TwinOutputs
-from suspension_twin.signals.checks import Finding
-from suspension_twin.signals.filters import FilterSpec
-from suspension_twin.signals.live import LiveLowPass
+from suspension_twin.pose.lock import PlanarState
 from suspension_twin_interfaces.srv import LoadTwin
 
 __all__ = ["SuspensionModelNode", "main"]
 
 #: The nodes whose low-pass has to be that of this one.
 FILTERING = ("imu_ingest", "pose_injector")
-#: Above this variance of the yaw (rad²) the heading and the road under the wheels are unknown.
-_YAW_KNOWN = 1.0
-#: Limits of plausible input: distance from the datum (m), speeds (m/s, rad/s), acceleration (m/s²).
-_FARTHEST, _FASTEST, _HARDEST = 1e8, 1e3, 1e5
+_HARDEST = 1e5  # m/s², more than any vehicle's body
+GAP = (
+    Param("gap.window", 10.0, "Sliding window of the live gap in s.", 0.5, 600.0),
+    Param("gap.rate", 5.0, "Messages per second on twin/gap.", 0.1, 100.0),
+    Param(
+        "gap.floor",
+        0.0,
+        "Residual of the calibration in m/s², reference of the normalised gap; 0: from the details beside a "
+        "calibrated twin file, else the noise at standstill.",
+        0.0,
+        100.0,
+    ),
+    Param(
+        "gap.warn",
+        5.0,
+        "Ratio of the gap to the residual of the calibration from which there is a warning. Position errors of a few "
+        "centimetres alone make it two or three.",
+        1.0,
+        1000.0,
+    ),
+    Param(
+        "gap.bands",
+        [0.5, 3.0, 8.0, 20.0],
+        "Edges in Hz of the adjoining frequency bands of the live gap.",
+        0.0,
+        800.0,
+    ),
+)
 
 
 class SuspensionModelNode(TwinNode):
@@ -70,7 +91,8 @@ class SuspensionModelNode(TwinNode):
         Param(
             "acceleration_time",
             0.1,
-            "Time constant in s of the planar acceleration, the low-passed derivative of the speeds in twin/odom.",
+            "Time constant in s of the planar acceleration, the low-passed derivative of the speeds in twin/odom; "
+            "above 0.4 Hz it is the IMU's. A pose_injector in the same process gives the accelerations itself.",
             0.0,
             2.0,
         ),
@@ -78,18 +100,18 @@ class SuspensionModelNode(TwinNode):
     )
 
     def __init__(self, embedding: Embedding | None = None) -> None:
-        self._prepared: tuple[Any, Follower | None] = (None, None)
+        self._prepared: Follower | None = None
         self._programs: tuple[Path, ...] | None = None  # any, while the node is started
         super().__init__("suspension_model", embedding)
-        started = self._prepared[0]
-        self._programs = () if started is None or started.program is None else (started.program,)
-        _compile()
+        program = None if self._prepared is None else self._prepared.twin.program
+        self._programs = () if program is None else (program,)
+        compile_stages()
         self._pairing = Pairing()
         self._out = TwinOutputs(self, self.values["map_frame"], self.values["base_frame"])
-        self._start()
+        self.start()
         self.listen(Odometry, "twin/odom", self._on_odom)
         self.listen(AccelStamped, "imu/vertical_acceleration", self._on_vertical)
-        # All twins write to this topic: of many in one process, each is told by its own nodes alone.
+        # All twins write to this topic: of many in one process, each gets the status of its own nodes alone.
         if not self.embedding.bare:
             self.create_subscription(DiagnosticArray, "/diagnostics", self.on_diagnostics, 100)
         self.create_service(Trigger, "~/reset", self._on_reset)
@@ -97,46 +119,34 @@ class SuspensionModelNode(TwinNode):
 
     def check(self, values: Values) -> None:
         """See the base class. The model is made here, where a wrong twin can still be refused."""
-        gap_of(values)
-        filter_of(values)
-        twin = twin_of(values)
-        if twin is not self._prepared[0]:
-            if (
-                twin is not None
-                and self._programs is not None
-                and twin.program not in (None, *self._programs)
-            ):
+        settings, twin = _settings(values), twin_of(values)
+        settings.gap()
+        if twin is None:
+            self._prepared = None
+        elif self._prepared is None or twin is not self._prepared.twin:
+            if self._programs is not None and twin.program not in (None, *self._programs):
                 text = f"{twin.model} runs a program: name it when the node is started, not by a request"
                 raise InputError(values["twin"], "model", text)
-            self._prepared = (twin, None if twin is None else Follower(twin))
+            self._prepared = Follower(twin, settings)
 
-    def changed(self, names: AbstractSet[str]) -> None:
-        """See the base class: any new setting resets the node."""
-        if names & {p.name for p in self.parameters}:
-            self._start()
-
-    def _start(self) -> None:
+    def start(self) -> None:
+        """See the base class."""
         values = self.values
-        self._follower = self._prepared[1]
-        self._low_pass = LiveLowPass(filter_of(values))
-        self._gap, self._expected = gap_of(values), calibration_gap(values)
-        self._out.marker.floor = self._gap.floor
-        self._out.configure(self._follower, values["visual_rate"], values["gap.rate"])
-        if self._follower is None:
+        follower = self._follower = self.twin.follower = self._prepared
+        self._out.configure(follower, values["visual_rate"], values["gap.rate"])
+        if follower is None:
             text = "no twin loaded: set the parameter twin or call ~/load_twin"
             if "no twin" not in self.health.findings:
                 self.say(WARN, text)
             self.health.findings["no twin"] = WARN, text
         else:
-            self._follower.acceleration_time = values["acceleration_time"]
+            follower.configure(_settings(values))
             self.health.findings.pop("no twin", None)
         self.reset()
 
     def reset(self) -> None:
         """See the base class: the twin is back in static equilibrium."""
         self._pairing.reset()
-        self._low_pass.reset()
-        self._gap.reset()
         self._out.reset()
         if self._follower is not None:
             self._follower.reset()
@@ -144,49 +154,38 @@ class SuspensionModelNode(TwinNode):
     def _on_odom(self, message: Odometry, ns: int) -> None:
         if message.header.frame_id != self._out.map_frame:
             self.note_frame("twin/odom", message.header.frame_id, self._out.map_frame)
-        pose, twist = message.pose.pose, message.twist.twist
-        q, p = pose.orientation, pose.position
-        yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), q.w * q.w + q.x * q.x - q.y * q.y - q.z * q.z)
-        v, w = twist.linear, twist.angular.z
-        near = abs(p.x) < _FARTHEST and abs(p.y) < _FARTHEST
-        if not (
-            near and abs(v.x) < _FASTEST and abs(v.y) < _FASTEST and abs(w) < _FASTEST and math.isfinite(yaw)
-        ):
-            raise InputError("twin/odom", "message dropped: a value is not finite or out of range")
-        known = message.pose.covariance[35] < _YAW_KNOWN
-        self._follow(self._pairing.pose(PlanarRow(ns, p.x, p.y, yaw, v.x, v.y, w, known)))
+        self._follow(self._pairing.pose(ns, read_odometry(message, ns / 1e9)))
 
     def _on_vertical(self, message: AccelStamped, ns: int) -> None:
-        measured = message.accel.linear.z
-        if not abs(measured) < _HARDEST:
-            raise InputError(
-                "imu/vertical_acceleration", "message dropped: linear.z is not finite or out of range"
-            )
+        linear, angular = message.accel.linear, message.accel.angular
+        measured = BodyAcceleration((linear.x, linear.y, linear.z), (angular.x, angular.y, angular.z))
+        if not all(abs(value) < _HARDEST for vector in measured for value in vector):
+            text = "message dropped: a value is not finite or out of range"
+            raise InputError("imu/vertical_acceleration", text)
         self._follow(self._pairing.sample(ns, measured))
 
-    def _follow(self, ready: list[Paired]) -> None:
-        if self._follower is None:
-            return
-        for number, (row, measured) in enumerate(ready):
+    def _follow(self, ready: list[tuple[int, PlanarState, BodyAcceleration]]) -> None:
+        for number, (ns, pose, measured) in enumerate(ready):
             if number:
                 self.outbox.flush()  # the same message objects are filled for the next sample
-            t = row.ns / 1e9
-            state = self._follower.step(t, row)
-            if state.event:
-                self._note_event(state.event)
-                self._gap.restart(t)
-            if not abs(state.vertical_acceleration) < _HARDEST:  # impossible poses
-                self._note_event("diverged: restarted")
-                self._follower.reset()
-                self._low_pass.reset()
-                self._gap.restart(t)
-                continue
-            filtered = self._low_pass.push(t, state.vertical_acceleration - self._follower.standing_vertical)
-            self._out.send_acceleration(row.ns, filtered)
-            self._gap.push(t, measured, filtered, row.speed)
-            if row.known and self._gap.settled:
-                self._out.locate(row, state.z, measured - filtered)
-            self._out.send_rest(row, state, self._gap)
+            self.publish(Update(None, pose, self.twin.follow(ns / 1e9, pose, measured)), ns)
+
+    def take(self, update: Update, ns: int) -> None:
+        """Publish what the twin makes of a sample that has gone through all stages in this process."""
+        self.inputs["imu/vertical_acceleration"].arrived(ns)
+        if update.pose is not None:
+            self.inputs["twin/odom"].arrived(ns)
+        self.publish(update, ns)
+
+    def publish(self, update: Update, ns: int) -> None:
+        """Publish the twin's motion, signals and gap."""
+        at, follower = update.followed, self._follower
+        if at is None or follower is None:
+            return
+        if at.event:
+            self._note_event(at.event)
+        if not math.isnan(at.vertical_acceleration):
+            self._out.send(at, follower, ns)
 
     def _note_event(self, event: str) -> None:
         kind = event.removeprefix("the ").partition(" ")[0].rstrip(":")
@@ -204,7 +203,7 @@ class SuspensionModelNode(TwinNode):
         if not request.path:
             response.success, response.message = False, "path: is empty, give the path of a twin file"
             return response
-        self._prepared = (None, None)  # the file is read again even if the path is the same
+        self._prepared = None  # the file is read again even if the path is the same
         result = self.set_parameters([Parameter("twin", value=request.path)])[0]
         response.success, response.message = result.successful, result.reason
         if result.successful and self._follower is not None:
@@ -232,34 +231,39 @@ class SuspensionModelNode(TwinNode):
 
     def whole_gap(self) -> float:
         """Rms of the gap in m/s² since the twin was loaded; NaN while nothing was simulated."""
-        return self._gap.whole_rms
+        return math.nan if self._follower is None else self._follower.gap.whole_rms
 
     def gap_now(self) -> GapNow | None:
         """The live gap; None while the window holds fewer than two samples."""
-        return self._gap.now()
+        return None if self._follower is None else self._follower.gap.now()
 
     def report(self) -> None:
         """See the base class."""
-        if self._pairing.lost:
+        lost = self._pairing.lost
+        self._pairing.lost = 0
+        if self._follower is not None:
+            lost, self._follower.lost = lost + self._follower.lost, 0
+        if lost:
             text = "samples without a pose of the same time on twin/odom, not simulated"
-            self.note(text, WARN, text, self._pairing.lost)
-            self._pairing.lost = 0
+            self.note(text, WARN, text, lost)
         self.health.values[LOW_PASS] = low_pass_text(self.values)
-        found = [] if self._follower is None else self._follower.findings
-        gap = self._gap.now()
+        gap = self.gap_now()
         if gap is not None:
             self.health.values["gap, rms (m/s²)"] = f"{gap.rms:.3f}"
             self.health.values["gap, normalised"] = f"{gap.normalised:.2f}"
-        warning = gap_warning(gap, self._expected, self.values["gap.warn"])
-        self.show_findings([*found, *([Finding("warn", "gap", warning)] if warning else [])])
+        self.show_findings([] if self._follower is None else self._follower.findings)
 
 
-@cache
-def _compile() -> None:
-    """Compile before the first message: a few samples, one of them missing."""
-    low_pass = LiveLowPass(FilterSpec())
-    for k in (0, 1, 2, 4):
-        low_pass.push(1.0 + 0.01 * k, 0.0)
+def _settings(values: Values) -> FollowSettings:
+    """Low-pass and gap as the parameters describe them. Raises InputError."""
+    return FollowSettings(
+        filter=filter_of(values),
+        window=values["gap.window"],
+        edges=tuple(values["gap.bands"]),
+        floor=calibration_gap(values["gap.floor"], values["twin"]),
+        warn=values["gap.warn"],
+        acceleration_time=values["acceleration_time"],
+    )
 
 
 main = partial(run_alone, SuspensionModelNode)

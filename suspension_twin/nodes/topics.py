@@ -18,15 +18,17 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.context import Context
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Header
 
 from suspension_twin.errors import InputError
+from suspension_twin.live.twin import DigitalTwin
 
 if TYPE_CHECKING:
     from suspension_twin.nodes.base import TwinNode
@@ -42,6 +44,7 @@ __all__ = [
     "Embedding",
     "Input",
     "InputState",
+    "Message",
     "Outbox",
     "Output",
     "type_name",
@@ -76,12 +79,19 @@ def type_name(kind: type) -> str:
     return f"{package}/{group}/{kind.__name__}"
 
 
+class Message(Protocol):
+    """A message of any type; most have a header."""
+
+    @property
+    def header(self) -> Header: ...
+
+
 class Outbox:
     """Messages to be published at the end of the callback that filled them. One for each thread of nodes."""
 
     def __init__(self) -> None:
         self._depth = 0
-        self._waiting: list[tuple[Publisher, Any]] = []
+        self._waiting: list[tuple[Publisher, object]] = []
 
     def enter(self) -> None:
         """A callback begins."""
@@ -93,7 +103,7 @@ class Outbox:
         if self._waiting and not self._depth:
             self.flush()
 
-    def add(self, publisher: Publisher, message: Any) -> None:
+    def add(self, publisher: Publisher, message: object) -> None:
         """Publish ``message`` when the outermost callback ends; at once outside of any callback."""
         self._waiting.append((publisher, message))
         if not self._depth:
@@ -113,11 +123,11 @@ class Output:
         self.publisher = publisher
         # Called for every message: the handle itself, without the publisher's lock around it.
         self._listeners: Callable[[], int] = publisher.handle.get_subscription_count
-        self.links: list[Callable[[Any], None]] = []
+        self.links: list[Callable[[Message], None]] = []
         self.sent = 0
         self._outbox = outbox
 
-    def send(self, message: Any, urgent: bool = False) -> None:
+    def send(self, message: Message, urgent: bool = False) -> None:
         """Call the links with ``message``, then publish it at the end of the outermost callback, until
         which it must not change; an ``urgent`` message is published at once, before the links."""
         self.sent += 1
@@ -139,7 +149,7 @@ class Embedding:
     """How a node is put into a process; the defaults are for a process of its own.
 
     ``linked`` names the inputs that another node of the process delivers directly, so that no
-    subscription is made for them; ``outbox`` is shared by all nodes of the process. ``clock_jumps``:
+    subscription is made for them; ``twin`` and ``outbox`` are shared by all nodes of the process. ``clock_jumps``:
     reset the node when the ROS clock jumps back. Not wanted where the stamps are passed on directly
     and the clock follows behind them. ``bare``: the executor hands on messages without what the
     middleware knows about them (rclpy 7.1's events executor fails where a callback asks for it).
@@ -152,12 +162,13 @@ class Embedding:
     outbox: Outbox | None = None
     clock_jumps: bool = True
     bare: bool = False
+    twin: DigitalTwin | None = None
 
 
 @dataclass
 class InputState:
     """Statistics of one subscribed topic: ``rate`` Hz, ``silent_for`` s since the last message. A warning is
-    given for a silent topic if it is ``expected``; ``why`` says what stands in the way, if anything."""
+    given for a silent topic if it is ``expected``; ``why`` is the reason, if known."""
 
     topic: str
     expected: bool
@@ -166,8 +177,9 @@ class InputState:
     silent_for: float = 0.0
     warned: bool = False
     why: str = ""
-    _counted: int = 0
-    _last: float = math.nan
+
+    def __post_init__(self) -> None:
+        self._counted, self._last = 0, math.nan
 
     def measure(self, now: float, interval: float) -> None:
         """Update ``silent_for`` at ``now`` s and ``rate`` over the last ``interval`` s."""
@@ -180,7 +192,7 @@ class InputState:
 
 
 def _waited(about: Mapping[str, int]) -> int:
-    """ns that a message has waited in the queue, 0 where the middleware does not say."""
+    """ns that a message has waited in the queue, 0 where the middleware does not know."""
     received = about.get("received_timestamp") or 0
     return time.time_ns() - received if received > 0 else 0
 
@@ -188,7 +200,7 @@ def _waited(about: Mapping[str, int]) -> int:
 class Input:
     """One subscribed topic. ``deliver`` takes a message from a subscription or from a linked output."""
 
-    def __init__(self, node: TwinNode, state: InputState, handler: Callable[[Any, int], None]) -> None:
+    def __init__(self, node: TwinNode, state: InputState, handler: Callable[[Message, int], None]) -> None:
         self.state = state
         self.newest = 0
         #: None where a linked output delivers.
@@ -197,7 +209,7 @@ class Input:
         self._outbox = node.outbox
         self._handler = handler
 
-    def receive(self, message: Any, about: Mapping[str, int]) -> None:
+    def receive(self, message: Message, about: Mapping[str, int]) -> None:
         """Deliver ``message`` and those that wait behind it in the queue of the subscription.
 
         A node that gets too little of the processor would answer ever later, until its queue is full: messages that
@@ -213,17 +225,17 @@ class Input:
             message, about = taken
         self.deliver(message)
 
-    def receive_bare(self, message: Any) -> None:
+    def receive_bare(self, message: Message) -> None:
         """:meth:`receive` where it is not known how long ``message`` has waited; of those behind it, it is."""
         self.receive(message, {})
 
-    def _take(self) -> tuple[Any, Mapping[str, int]] | None:
+    def _take(self) -> tuple[Message, Mapping[str, int]] | None:
         """The next message of the queue and what the middleware knows about it."""
-        taken: tuple[Any, Mapping[str, int]] | None
+        taken: tuple[Message, Mapping[str, int]] | None
         taken = self.subscription.handle.take_message(self.subscription.msg_type, False)
         return taken
 
-    def _newest(self, message: Any) -> Any:
+    def _newest(self, message: Message) -> Message:
         """The first message of the queue that has not waited, else the last."""
         skipped = 0
         while (taken := self._take()) is not None:
@@ -236,7 +248,12 @@ class Input:
             self._node.note(f"messages skipped on {topic}", WARN, text, skipped)
         return message
 
-    def deliver(self, message: Any) -> None:
+    def arrived(self, ns: int) -> None:
+        """Count what the nodes of one process hand on without a message, stamped ``ns``."""
+        self.state.received += 1
+        self.newest = max(self.newest, ns)
+
+    def deliver(self, message: Message) -> None:
         """Call the handler with ``message`` and its stamp in ns; never raises because of a message."""
         node, topic = self._node, self.state.topic
         self.state.received += 1

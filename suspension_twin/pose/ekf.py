@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Extended Kalman filter of the planar pose: eight states, predicted with the gyro, corrected by all else.
+"""Extended Kalman filter and smoother of the planar pose: eight states, predicted with the gyro.
 
 States: x, y of ``base_link`` in ``map`` m, yaw rad, forward speed m/s, forward acceleration m/s²,
 lateral speed m/s, gyro bias rad/s, accelerometer bias m/s². The yaw rate is an input; the forward
@@ -11,13 +11,30 @@ Markov process whose variance grows with the lateral acceleration.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
 
-__all__ = ["FIX", "HEADING", "RESET", "STATES", "VELOCITY", "advance", "forward", "measurement_update"]
+__all__ = [
+    "FIX",
+    "HEADING",
+    "RESET",
+    "STATES",
+    "VELOCITY",
+    "advance",
+    "forward",
+    "measurement_update",
+    "planar_acceleration",
+    "planar_inputs",
+    "planar_row",
+    "smooth",
+]
+
+Value = TypeVar("Value", float, Floats)
 
 STATES = 8
 X, Y, YAW, SPEED, ACCELERATION, LATERAL_SPEED, GYRO_BIAS, ACCELEROMETER_BIAS = range(8)
@@ -25,7 +42,7 @@ X, Y, YAW, SPEED, ACCELERATION, LATERAL_SPEED, GYRO_BIAS, ACCELEROMETER_BIAS = r
 #: factor on the gyro's noise, above 1 where samples are missing; antenna ahead and to the left of
 #: ``base_link`` on level ground m, and its velocity against it m/s.
 YAW_RATE, FORWARD_FORCE, STANDING, GYRO_LOOSENESS, ANTENNA_X, ANTENNA_Y, ANTENNA_VX, ANTENNA_VY = range(8)
-#: Noise, as :meth:`~suspension_twin.pose.settings.PoseSettings.noise` orders it: densities, then the distances
+#: Noise, as :meth:`~suspension_twin.pose.types.PoseSettings.noise` orders it: densities, then the distances
 #: in standard deviations from which a measurement weighs less (Huber) and beyond which it is refused.
 FORCE_DENSITY, JERK_DENSITY, GYRO_DENSITY, GYRO_SCALE, SLIP, FORCE_BIAS_WALK, GYRO_BIAS_WALK, HUBER, GATE = (
     range(9)
@@ -337,3 +354,161 @@ def forward(
         if kinds[i] >= 0:
             weights[i] = measurement_update(x, p, int(kinds[i]), values[i], inputs[i], noise)
         copy_state(x, p, states[i], covariances[i])
+
+
+@compiled
+def _level(up: Floats, arm: Floats, out: Floats) -> None:  # pragma: no cover - compiled
+    """``out`` (2,): how far ``arm`` (3,) in body axes reaches ahead and to the left on level ground."""
+    pitch = math.asin(-max(-1.0, min(1.0, up[0])))
+    flat = math.hypot(up[1], up[2])
+    cr, sr = (up[2] / flat, up[1] / flat) if flat > 1e-9 else (1.0, 0.0)
+    out[0] = math.cos(pitch) * arm[0] + math.sin(pitch) * (sr * arm[1] + cr * arm[2])
+    out[1] = cr * arm[1] - sr * arm[2]
+
+
+def planar_acceleration(
+    force: Sequence[Value], rate: Sequence[Value], faster: Sequence[Value], lever: tuple[float, float, float]
+) -> tuple[Value, Value]:
+    """Acceleration in m/s² ahead and to the left of a point of a rigid body, by a sensor at ``lever`` m from it.
+
+    ``force`` is the specific force less gravity, ``rate`` rad/s and ``faster`` its derivative: three numbers each, or
+    three arrays (n,).
+    """
+    x, y, z = lever
+    spin = rate[2] * rate[2]
+    ahead = force[0] - z * faster[1] + y * faster[2] + x * spin
+    return ahead, force[1] + z * faster[0] - x * faster[2] + y * spin
+
+
+@compiled
+def planar_row(
+    force: Floats,
+    rate: Floats,
+    faster: Floats,
+    up: Floats,
+    slow_up: Floats,
+    sway: float,
+    gravity: float,
+    imu: Floats,
+    antenna: Floats,
+    out: Floats,
+) -> None:  # pragma: no cover - compiled
+    """``out`` (8,): yaw rate about the vertical, forward acceleration of ``base_link``, two left alone, then the
+    ``antenna`` (3,) ahead and left of ``base_link`` on level ground, and its velocity there.
+
+    The acceleration is the specific force without gravity and without what turning and its change ``faster``
+    (3,) rad/s² add at the sensor's place ``imu`` (3,). ``slow_up`` is the vertical that slopes alone tilt; the
+    antenna's quick sway beyond it counts by the share ``sway``.
+    """
+    omega = rate[0] * up[0] + rate[1] * up[1] + rate[2] * up[2]
+    out[0] = omega
+    out[1] = force[0] - gravity * up[0] + omega * omega * imu[0] + faster[2] * imu[1] - faster[1] * imu[2]
+    arm = np.empty(2)
+    swung = np.empty(2)
+    _level(slow_up, antenna, arm)
+    _level(up, antenna, swung)
+    out[4] = arm[0] + sway * (swung[0] - arm[0])
+    out[5] = arm[1] + sway * (swung[1] - arm[1])
+    out[6] = -omega * antenna[1] + sway * rate[1] * antenna[2]
+    out[7] = omega * antenna[0] - sway * rate[0] * antenna[2]
+
+
+@compiled
+def planar_inputs(
+    force: Floats,
+    rate: Floats,
+    faster: Floats,
+    up: Floats,
+    slow_up: Floats,
+    sway: float,
+    gravity: float,
+    imu: Floats,
+    antenna: Floats,
+) -> Floats:  # pragma: no cover - compiled
+    """(n, 8) of :func:`planar_row` for whole arrays; columns 2 and 3 are zero."""
+    out = np.zeros((force.shape[0], 8))
+    for i in range(force.shape[0]):
+        planar_row(force[i], rate[i], faster[i], up[i], slow_up[i], sway, gravity, imu, antenna, out[i])
+    return out
+
+
+@compiled
+def _solve(a: Floats, b: Floats) -> None:  # pragma: no cover - compiled
+    """Solve a x = b for symmetric positive definite ``a`` (8, 8) by Cholesky; both are overwritten, b by x."""
+    for i in range(8):
+        for j in range(i + 1):
+            s = a[i, j]
+            for k in range(j):
+                s -= a[i, k] * a[j, k]
+            a[i, j] = math.sqrt(s) if i == j else s / a[j, j]
+    for column in range(8):
+        for i in range(8):
+            s = b[i, column]
+            for k in range(i):
+                s -= a[i, k] * b[k, column]
+            b[i, column] = s / a[i, i]
+        for i in range(7, -1, -1):
+            s = b[i, column]
+            for k in range(i + 1, 8):
+                s -= a[k, i] * b[k, column]
+            b[i, column] = s / a[i, i]
+
+
+@compiled
+def smooth(
+    t: Floats, inputs: Floats, noise: Floats, states: Floats, covariances: Floats
+) -> None:  # pragma: no cover - compiled
+    """Rauch-Tung-Striebel: turn the filtered states and covariances into smoothed ones, in place.
+
+    The accelerometer and standstill updates belong to the node they end at, so the transition from
+    the filtered state of a node to the prediction for the next is the plain one.
+    """
+    f = np.empty((8, 8))
+    work = np.empty((8, 8))
+    ahead = np.empty((8, 8))
+    left = np.empty((8, 8))
+    gain = np.empty((8, 8))
+    x = np.empty(8)
+    scale = np.empty(8)
+    for i in range(t.size - 2, -1, -1):
+        dt = t[i + 1] - t[i]
+        p = covariances[i]
+        if dt <= 0.0:
+            copy_state(states[i + 1], covariances[i + 1], states[i], p)
+            continue
+        for k in range(8):
+            x[k] = states[i, k]
+        u = inputs[i + 1]
+        predict_state(x, u, dt, f)
+        propagate_covariance(f, p, work, ahead)
+        add_process_noise(ahead, noise, x, u, dt)
+        # gain = ahead^-1 f p, with each state scaled to its spread: metres beside micro-radians.
+        for k in range(8):
+            scale[k] = 1.0 / math.sqrt(ahead[k, k])
+        for r in range(8):
+            for c in range(8):
+                left[r, c] = ahead[r, c] * scale[r] * scale[c]
+                s = 0.0
+                for k in range(8):
+                    s += f[r, k] * p[k, c]
+                gain[r, c] = s * scale[r]
+        _solve(left, gain)
+        for r in range(8):
+            for c in range(8):
+                gain[r, c] *= scale[r]
+                ahead[r, c] = covariances[i + 1, r, c] - ahead[r, c]
+            x[r] = states[i + 1, r] - x[r]
+        for r in range(8):
+            for k in range(8):
+                states[i, r] += gain[k, r] * x[k]
+            for c in range(8):
+                s = 0.0
+                for k in range(8):
+                    s += ahead[r, k] * gain[k, c]
+                work[r, c] = s
+        for r in range(8):
+            for c in range(8):
+                s = 0.0
+                for k in range(8):
+                    s += gain[k, r] * work[k, c]
+                p[r, c] += s

@@ -1,51 +1,163 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The live pose: x, y and yaw locked to the real vehicle at the IMU's rate, without steps."""
+"""The live pose: every sample and measurement as it comes, a delayed one at its own stamp, an output without steps."""
 
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Sequence
+from statistics import median
 from typing import NamedTuple
 
 import numpy as np
 
+from suspension_twin.arrays import Floats
 from suspension_twin.pose import ekf
-from suspension_twin.pose.blend import Blend
+from suspension_twin.pose.alignment import LEVEL_WALK, MOVING_WALK, LiveInputs
+from suspension_twin.pose.ekf import SPEED, YAW, X, Y
 from suspension_twin.pose.history import History, Measurement
-from suspension_twin.pose.initial_state import REVERSE_SPEED, REVERSE_TIME
-from suspension_twin.pose.level import MOVING_WALK
-from suspension_twin.pose.live import LEVEL_WALK, LiveInputs
 from suspension_twin.pose.local_map import LocalMap
-from suspension_twin.pose.settings import PoseSettings, fix_sigma
-from suspension_twin.pose.velocity_noise import VelocityNoise
+from suspension_twin.pose.types import REVERSE_SPEED, REVERSE_TIME, VELOCITY_SHARE, PoseSettings, fix_sigma
 from suspension_twin.signals.attitude import rpy_matrix
 from suspension_twin.signals.checks import Finding
 from suspension_twin.signals.clock import JUMP_BACK, MAX_STAMP
-from suspension_twin.signals.standstill import STANDSTILL_FILTER_DELAY
+from suspension_twin.signals.imu import STANDSTILL_FILTER_DELAY
 from suspension_twin.vehicle.twin import Datum, Place
 
-__all__ = ["PlanarState", "PoseLock"]
+__all__ = [
+    "Blend",
+    "PlanarMotion",
+    "PlanarState",
+    "PoseLock",
+    "VelocityNoise",
+]
+
+
+class Blend:
+    """Offsets between the output and the filter's state: x, y, yaw and speed.
+
+    Each dies away like a critically damped second-order system of ``time`` s, so the output has no
+    step in position and, from a correction of the speed, none in velocity. A correction of the
+    position alone moves it at ``speed`` m/s at most; one beyond ``snap`` m is jumped at once.
+    """
+
+    def __init__(self, time: float, speed: float, snap: float) -> None:
+        self._time = time
+        self._speed = speed
+        self._snap = snap
+        self.clear()
+
+    def clear(self) -> None:
+        """The output is the filter's state."""
+        self._offset = [0.0, 0.0, 0.0, 0.0]
+        self._rate = [0.0, 0.0, 0.0]
+        self._slow = self._time  # s, of the position
+        self._t = math.nan
+
+    def correct(self, before: Floats, after: Floats) -> None:
+        """The filter's newest state was ``before`` (8,) and is now ``after`` (8,)."""
+        offset = self._offset
+        offset[0] += float(before[X] - after[X])
+        offset[1] += float(before[Y] - after[Y])
+        offset[2] += float(before[YAW] - after[YAW])
+        offset[3] += float(before[SPEED] - after[SPEED])
+        c0, s0 = math.cos(before[YAW]), math.sin(before[YAW])
+        c1, s1 = math.cos(after[YAW]), math.sin(after[YAW])
+        self._rate[0] += float(before[SPEED] * c0 - after[SPEED] * c1)
+        self._rate[1] += float(before[SPEED] * s0 - after[SPEED] * s1)
+        length = math.hypot(offset[0], offset[1])
+        # The largest speed of the decay is offset / time / e.
+        self._slow = max(self._time, length / (math.e * self._speed))
+        if length > self._snap or abs(offset[2]) > 0.5:
+            self.clear()
+
+    def step(self, t: float) -> tuple[float, float, float, float]:
+        """Offsets of x m, y m, yaw rad and speed m/s to add at ``t`` s."""
+        dt = min(t - self._t, 0.2) if math.isfinite(self._t) else 0.0
+        self._t = t
+        if dt > 0.0:
+            for k in range(3):
+                w = 1.0 / (self._slow if k < 2 else self._time)
+                x, v = self._offset[k], self._rate[k]
+                fade = math.exp(-w * dt)
+                linear = v + w * x
+                self._offset[k] = (x + linear * dt) * fade
+                self._rate[k] = (v - w * linear * dt) * fade
+            self._offset[3] *= math.exp(-dt / self._time)
+        x, y, yaw, v = self._offset
+        return x, y, yaw, v
+
+
+#: Velocities that an estimate rests on, at least and at most; the standard deviations of the least that it may be; and
+#: m/s off the filter's, beyond which it is the filter that is wrong (tolerances, by hand).
+_FEWEST, _MOST, _LARGEST, _WRONG = 10, 60, 10.0, 2.0
+
+
+class VelocityNoise:
+    """Innovation-based estimate of a velocity's standard deviation.
+
+    Ahead, a velocity differs from the filter's by the noise of both: ``median |r| / 0.6745`` squared less the variance
+    of the filter's speed is the receiver's variance. Across, slip would count as noise.
+
+    Parameters
+    ----------
+    least : float
+        m/s that a receiver is not better than.
+    """
+
+    def __init__(self, least: float) -> None:
+        self._given = self._least = least
+        self._off: deque[float] = deque(maxlen=_MOST)
+        self._spread: deque[float] = deque(maxlen=_MOST)
+        self.sigma = least
+
+    def by_fixes(self, sigma: float) -> None:
+        """The receiver's fixes have a standard deviation of ``sigma`` m: its velocities are not much better."""
+        self._least = max(self._given, VELOCITY_SHARE * sigma)
+        self.sigma = max(self.sigma, self._least)
+
+    def see(self, state: Floats, covariance: Floats, row: Floats, z: Measurement) -> None:
+        """A velocity ``z``, the filter's ``state`` (8,) and ``covariance`` (8, 8) before it, and its inputs ``row``."""
+        yaw = float(state[ekf.YAW])
+        expected = float(state[ekf.SPEED] + row[ekf.ANTENNA_VX])
+        off = abs(z[0] * math.cos(yaw) + z[1] * math.sin(yaw) - expected)
+        if off > _WRONG:
+            return
+        self._off.append(off)
+        self._spread.append(float(covariance[ekf.SPEED, ekf.SPEED]))
+        if len(self._off) >= _FEWEST:
+            variance = (median(self._off) / 0.6745) ** 2 - median(self._spread)
+            sigma = math.sqrt(max(variance, 0.0))
+            self.sigma = min(max(sigma, self._least), _LARGEST * self._least)
+
 
 AHEAD = 5.0  # s that a fix may be ahead of the IMU and still wait for it
 PAUSE = 60.0  # s after which nothing is left of the pose
 MAX_FORCE, MAX_TURN = 2000.0, 200.0  # m/s² and rad/s that no sensor of a vehicle sends
 
 
+class PlanarMotion(NamedTuple):
+    """Motion in the plane, axes of ``base_link``: speeds m/s, yaw rate rad/s, accelerations of the path m/s², NaN where
+    they are not known."""
+
+    speed: float = 0.0
+    lateral_speed: float = 0.0
+    yaw_rate: float = 0.0
+    ax: float = 0.0
+    ay: float = 0.0
+
+
 class PlanarState(NamedTuple):
-    """One row of a :class:`~suspension_twin.pose.types.Trajectory`, with ``covariance``: the upper triangle
-    xx, xy, x-yaw, yy, y-yaw, yaw-yaw in m², m rad, rad². ``valid`` False while the yaw is not known or
-    no fix supports the pose."""
+    """The pose of ``base_link`` in ``map`` at ``t`` s: m, rad. ``aligned`` False while the yaw is not known, ``valid``
+    False then and while no fix supports the pose; ``covariance``: the upper triangle xx, xy, x-yaw, yy, y-yaw,
+    yaw-yaw in m², m rad, rad²."""
 
     t: float
     x: float
     y: float
     yaw: float
-    speed: float
-    lateral_speed: float
-    yaw_rate: float
-    ax: float
-    ay: float
+    motion: PlanarMotion
+    aligned: bool
     valid: bool
     covariance: tuple[float, float, float, float, float, float]
 
@@ -90,8 +202,6 @@ class PoseLock:
         imu_turn: tuple[float, float, float] | None = None,
         imu_gain: float = 1.0,
     ) -> None:
-        """``imu_turn``: roll, pitch and yaw in rad by which the sensor is turned further than its place says;
-        ``imu_gain``: how many times the specific force it reads."""
         self.settings = settings or PoseSettings()
         self._gps = gps_place or Place(frame="gps_link")
         self._imu = imu_place or Place()
@@ -154,7 +264,7 @@ class PoseLock:
 
     @property
     def findings(self) -> list[Finding]:
-        """What keeps the pose from being locked, or makes it unreliable."""
+        """Reasons why the pose is not locked or not reliable."""
         if self._history.head < 0:
             return [Finding("warn", "no_imu", "no IMU samples yet: is imu/data published?")]
         found = []
@@ -205,12 +315,12 @@ class PoseLock:
             elif dt <= 0.0:
                 self.counts["late"] += 1
                 return None
-        speed, acceleration = 0.0, 0.0
+        own = None
         if self._aligned:
             before = history.state(history.head)
-            speed, acceleration = float(before[ekf.SPEED]), float(before[ekf.ACCELERATION])
+            own = float(before[ekf.SPEED]), float(before[ekf.ACCELERATION])
         row = history.append(t)
-        if self._live.row(t, force, rate, speed, acceleration, self._aligned, row):
+        if self._live.row(t, force, rate, own, row):
             self.counts["gaps"] += 1
             if self._aligned and not self._live.levelled:
                 history.forget_bias(self._live.pull)
@@ -224,7 +334,12 @@ class PoseLock:
             self._waiting = [w for w in self._waiting if w[0] > t]
             for stamp, kind, z in ready:
                 self._take(stamp, kind, z)
-        return self._output()
+        state = self._output()
+        if state is not None and not math.isfinite(state.x + state.y + state.yaw + sum(state.motion)):
+            self.reset()
+            self.counts["not_finite"] += 1
+            return None
+        return state
 
     def on_fix(
         self,
@@ -233,11 +348,10 @@ class PoseLock:
         longitude: float,
         altitude: float,
         status: int = 0,
-        sigma_east: float = math.nan,
-        sigma_north: float = math.nan,
+        *sigmas: float,
     ) -> None:
-        """One GPS fix: degrees, m; standard deviations in m, NaN or 0 where the receiver gives none."""
-        sigma = fix_sigma(self.settings, status, sigma_east, sigma_north)
+        """One GPS fix: degrees, m; ``sigmas`` east and north in m, NaN or 0 where the receiver gives none."""
+        sigma = fix_sigma(self.settings, status, *sigmas or (math.nan, math.nan))
         numbers = (t, latitude, longitude, sigma)
         if not all(map(math.isfinite, numbers)) or abs(latitude) > 90 or abs(longitude) > 180:
             self.counts["unusable"] += 1
@@ -403,7 +517,7 @@ class PoseLock:
                 return None
             _, x, y, sigma = self._place
             unknown = (sigma**2, 0.0, 0.0, sigma**2, 0.0, math.pi**2)
-            return PlanarState(t + delay, x, y, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, unknown)
+            return PlanarState(t + delay, x, y, 0.0, PlanarMotion(), False, False, unknown)
         x, y, yaw, v, acceleration, side, gyro, _ = history.state(history.head).tolist()
         u = history.inputs(history.head)
         omega = 0.0 if u[2] > 0.5 else float(u[10]) - gyro
@@ -417,11 +531,8 @@ class PoseLock:
             x + delay * (v * c - side * s) + dx,
             y + delay * (v * s + side * c) + dy,
             yaw,
-            speed,
-            side,
-            omega,
-            acceleration,
-            speed * omega,
+            PlanarMotion(speed, side, omega, acceleration, speed * omega),
+            True,
             t - self._last_good_fix <= self.settings.outage,
             (
                 float(p[0, 0]),

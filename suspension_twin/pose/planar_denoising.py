@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
+from suspension_twin.pose.ekf import planar_acceleration
 from suspension_twin.pose.types import Trajectory
 from suspension_twin.signals.filters import FilterSpec, zero_phase
 from suspension_twin.signals.noise_floor import white_noise_sigma
@@ -69,10 +70,7 @@ def _quick(signals: ImuSignals, centre: float) -> tuple[Floats, Floats]:
     force = zero_phase(spec, signals.rate_hz, signals.force - signals.gravity * signals.up)
     x, y, z = signals.place.position
     faster = np.gradient(rate, signals.t, axis=0)
-    spin = rate[:, 2] ** 2
-    ahead = force[:, 0] - (z - centre) * faster[:, 1] + y * faster[:, 2] + x * spin
-    left = force[:, 1] + (z - centre) * faster[:, 0] - x * faster[:, 2] + y * spin
-    return np.asarray(ahead), np.asarray(left)
+    return planar_acceleration(tuple(force.T), tuple(rate.T), tuple(faster.T), (x, y, z - centre))
 
 
 def wiener(

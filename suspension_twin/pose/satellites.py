@@ -31,7 +31,7 @@ __all__ = ["RATE", "satellite_motion"]
 RATE = 5.0
 #: Eight fixes to the shortest period: a spline through fewer is off by more than a per cent once differentiated twice.
 _SHARE, _MOST = 0.125, 0.8  # of it, Hz
-_SLOWEST = 3.0  # m/s: below it a course says nothing of the heading
+_SLOWEST = 3.0  # m/s: below it a course does not give the heading
 _GAP = 1.5  # s
 #: m: standard deviation of the height up to which its slope is a hill and not the receiver's error.
 _LEVEL = 0.1
@@ -126,12 +126,11 @@ def satellite_motion(
     slower = replace(
         signals,
         t=t[cut],
-        keep=signals.keep[kept],
         force=force,
         rate=slowed(signals.rate),
         vertical_acceleration=slowed(signals.vertical_acceleration),
         up=signals.up[kept],
-        rate_hz=rate / step,
+        facts=replace(signals.facts, rate_hz=rate / step),
         standing=signals.standing[kept],
         saturated=signals.saturated[kept],
     )
@@ -154,7 +153,7 @@ def _hills(
     slow: Callable[[Floats], Floats],
 ) -> tuple[Floats, bool]:
     """(n,) m/s² what gravity adds to the longitudinal specific force where the road climbs, which no flat road shows,
-    and whether the receiver itself says that its heights hold."""
+    and whether the receiver vouches for its heights."""
     good = good[np.isfinite(fix.altitude[good])]
     sigma = fix.sigma[good, 2]
     if good.size < 2:

@@ -1,29 +1,270 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pose of a recorded drive, smoothed from both sides: centimetres where the receiver gives them."""
+"""The pose of a recorded drive: measurements and IMU at the nodes of the filter, its first state, the smoothed path."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
 
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.types import Drive
+from suspension_twin.errors import InputError
 from suspension_twin.pose import ekf
-from suspension_twin.pose.initial_state import first_state
-from suspension_twin.pose.nodes import Nodes, gather, make_nodes, planar_rows
-from suspension_twin.pose.rts import smooth
-from suspension_twin.pose.settings import PoseSettings
-from suspension_twin.pose.types import Trajectory
+from suspension_twin.pose.ekf import planar_inputs, smooth
+from suspension_twin.pose.local_map import LocalMap
+from suspension_twin.pose.types import (
+    REVERSE_SPEED,
+    REVERSE_TIME,
+    SLOPE_TIME,
+    SWAY_SIGMA,
+    VELOCITY_SHARE,
+    PoseSettings,
+    Trajectory,
+    fix_sigma,
+)
+from suspension_twin.signals.filters import FilterSpec, zero_phase
 from suspension_twin.signals.offline import ImuSignals
 from suspension_twin.vehicle.twin import Datum, Place
 
-__all__ = ["locked_trajectory"]
+__all__ = [
+    "MAX_MEAN_SLOPE",
+    "Measurements",
+    "Nodes",
+    "first_state",
+    "gather",
+    "locked_trajectory",
+    "make_nodes",
+    "mean_tilt",
+    "planar_rows",
+]
+
+#: Hz to which yaw rate and forward pull are smoothed before they meet the filter's nodes.
+PLANAR = FilterSpec(2, 12.0)
+STEP = 0.01  # s between nodes at most
+MAX_MEAN_SLOPE = 3.0  # degrees on average of a drive; a larger mean tilt is the sensor's mounting
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """Fixes, velocities and headings in the order of time: ``t`` (m,), ``kind`` (m,), ``z`` (m, 3) two
+    numbers and a standard deviation."""
+
+    t: Floats
+    kind: Floats
+    z: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Nodes:
+    """Nodes that the filter runs over: ``t`` (k,) s, ``kind`` (k,) of the measurement there, below 0 for none, ``z``
+    (k, 3), ``inputs`` (k, 8) over the interval before each node, ``sway`` (k, 4) what the antenna's
+    quick swinging adds to the last four of them. ``inputs`` and ``z`` are the caller's to change."""
+
+    t: Floats
+    kind: Floats
+    z: Floats
+    inputs: Floats
+    sway: Floats
+
+
+def gather(drive: Drive, datum: Datum, settings: PoseSettings) -> Measurements:
+    """Every usable measurement of ``drive``. Raises InputError where there is no fix."""
+    fix, velocity = drive.fix, drive.velocity
+    sigma = np.array(
+        [
+            fix_sigma(settings, int(status), float(east), float(north))
+            for status, (east, north) in zip(fix.status, fix.sigma[:, :2], strict=True)
+        ],
+        dtype=np.float64,
+    )
+    usable = np.isfinite(fix.t) & np.isfinite(fix.latitude) & np.isfinite(fix.longitude) & np.isfinite(sigma)
+    if not usable.any():
+        raise InputError(drive.name, "fix", "has no usable GPS fix: the pose cannot be found")
+    height = np.where(np.isfinite(fix.altitude), fix.altitude, datum.altitude)
+    enu = LocalMap(datum).to_map(fix.latitude[usable], fix.longitude[usable], height[usable])
+    parts = [(fix.t[usable], ekf.FIX, np.column_stack([enu[:, :2], sigma[usable]]))]
+    good = np.isfinite(velocity.t) & np.isfinite(velocity.enu[:, :2]).all(axis=1)
+    spread = max(settings.velocity_sigma, VELOCITY_SHARE * float(np.median(sigma[usable])))
+    parts.append((velocity.t[good], ekf.VELOCITY, _beside(velocity.enu[good, :2], spread)))
+    if drive.heading is not None:
+        good = np.isfinite(drive.heading.t) & np.isfinite(drive.heading.yaw)
+        yaw = drive.heading.yaw[good]
+        pair = np.column_stack([yaw, np.zeros_like(yaw)])
+        parts.append((drive.heading.t[good], ekf.HEADING, _beside(pair, settings.heading_sigma)))
+    t = np.concatenate([part[0] for part in parts])
+    kind = np.concatenate([np.full(len(part[0]), float(part[1])) for part in parts])
+    z = np.vstack([part[2] for part in parts])
+    order = np.lexsort((kind, t))
+    t, kind, z = t[order], kind[order], z[order]
+    fresh = np.ones(t.size, dtype=np.bool_)
+    fresh[1:] = (np.diff(t) > 0) | (np.diff(kind) != 0)
+    return Measurements(t[fresh], kind[fresh], z[fresh])
+
+
+def _beside(pair: Floats, sigma: float) -> Floats:
+    return np.column_stack([pair, np.full(len(pair), sigma)])
+
+
+def planar_rows(signals: ImuSignals, gps_place: Place, upright: bool = False) -> tuple[Floats, Floats]:
+    """(n, 8) planar inputs at the IMU's stamps without the antenna's sway, and (n, 4) what it adds; ``upright``: on
+    average the tilt is that of the sensor's mounting, not of the vehicle with its antenna."""
+    spec = FilterSpec(PLANAR.order, min(PLANAR.cutoff, 0.4 * signals.rate_hz))
+    force = zero_phase(spec, signals.rate_hz, signals.force)
+    rate = zero_phase(spec, signals.rate_hz, signals.rate)
+    slow = gaussian_filter1d(signals.up, SLOPE_TIME * signals.rate_hz, axis=0, mode="nearest")
+    slow /= np.linalg.norm(slow, axis=1, keepdims=True)
+    faster = np.gradient(rate, signals.t, axis=0)
+    imu, antenna = np.array(signals.place.position), np.array(gps_place.position)
+    still, swaying = (
+        planar_inputs(force, rate, faster, signals.up, slow, share, signals.gravity, imu, antenna)
+        for share in (0.0, 1.0)
+    )
+    # the antenna tilts with the vehicle, not with the sensor's mounting
+    if upright or mean_tilt(signals.up) > MAX_MEAN_SLOPE:
+        up, slow = _upright(signals.up), _upright(slow)
+        for share, out in ((0.0, still), (1.0, swaying)):
+            right = planar_inputs(force, rate, faster, up, slow, share, signals.gravity, imu, antenna)
+            out[:, 4:] = right[:, 4:]
+    still[:, 2] = signals.standing
+    return still, swaying[:, 4:] - still[:, 4:]
+
+
+def mean_tilt(up: Floats) -> float:
+    """Degrees by which the mean of verticals (n, 3) is off the z axis."""
+    mean = up.mean(axis=0)
+    return math.degrees(math.atan2(math.hypot(mean[0], mean[1]), mean[2]))
+
+
+def _upright(up: Floats) -> Floats:
+    """Verticals (n, 3) turned so that their mean is the z axis."""
+    mean = up.mean(axis=0)
+    mean /= np.linalg.norm(mean)
+    # the smallest turn that takes the mean to the z axis (Rodrigues)
+    axis = np.array([mean[1], -mean[0], 0.0])
+    cross = np.array([[0.0, 0.0, axis[1]], [0.0, 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
+    turn = np.eye(3) + cross + cross @ cross / (1.0 + mean[2])
+    return np.asarray(np.einsum("ij,nj->ni", turn, up, optimize=False))
+
+
+def make_nodes(signals: ImuSignals, rows: Floats, sway: Floats, measured: Measurements) -> Nodes:
+    """An even grid of nodes and one more for each measurement, at its very stamp."""
+    inside = (measured.t >= signals.t[0]) & (measured.t <= signals.t[-1])
+    if np.count_nonzero(inside & (measured.kind == ekf.FIX)) < 2:
+        raise InputError("fix", "fewer than two fixes within the time of the IMU: do the clocks agree?")
+    step = max(STEP, 1.0 / signals.rate_hz)
+    count = max(2, math.ceil((signals.t[-1] - signals.t[0]) / step) + 1)
+    even = np.linspace(signals.t[0], signals.t[-1], count)
+    t = np.concatenate([even, measured.t[inside]])
+    kind = np.concatenate([np.full(count, -1.0), measured.kind[inside]])
+    z = np.vstack([np.zeros((count, 3)), measured.z[inside]])
+    order = np.lexsort((kind, t))
+    t, kind, z = t[order], kind[order], z[order]
+    at_nodes = [np.interp(t, signals.t, column) for column in (*rows.T, *sway.T)]
+    inputs = np.ascontiguousarray(np.stack(at_nodes[:8], axis=1))
+    # The mean over an interval from the running integral loses nothing to jitter or to coarse nodes.
+    interval = np.diff(t)
+    wide = interval > 1e-6
+    for column in (0, 1):
+        integral = _integral(t, signals.t, rows[:, column])
+        inputs[1:, column][wide] = np.diff(integral)[wide] / interval[wide]
+    inputs[:, 2] = inputs[:, 2] > 0.5
+    inputs[:, 3] = 1.0
+    for begin, end in signals.facts.gaps:
+        inputs[(t > begin) & (t <= end), 3] = 1000.0
+    return Nodes(t, kind, z, inputs, np.stack(at_nodes[8:], axis=1))
+
+
+def _integral(t: Floats, stamps: Floats, values: Floats) -> Floats:
+    """The integral from the first stamp of the line through ``values`` at ``stamps``, at ``t`` within them."""
+    steps = np.diff(stamps)
+    whole = np.concatenate([[0.0], np.cumsum(steps * 0.5 * (values[1:] + values[:-1]))])
+    k = np.clip(np.searchsorted(stamps, t, side="right") - 1, 0, stamps.size - 2)
+    ahead = t - stamps[k]
+    slope = (values[k + 1] - values[k]) / steps[k]
+    return np.asarray(whole[k] + ahead * (values[k] + 0.5 * slope * ahead), dtype=np.float64)
+
+
+def first_state(measured: Measurements, stamps: Floats, rows: Floats) -> tuple[Floats, Floats]:
+    """State (8,) and covariance (8, 8) at the first of ``stamps`` (n,), whose planar inputs are ``rows`` (n, 8).
+
+    The yaw is a heading's, or the course where the vehicle is fast, carried back to the start by the
+    gyro: a drive may begin at rest or in reverse. Raises InputError where no course is defined.
+    """
+    at, course, speed, sigma = _courses(measured)
+    turned = np.concatenate([[0.0], np.cumsum(np.diff(stamps) * 0.5 * (rows[1:, 0] + rows[:-1, 0]))])
+    headings = np.flatnonzero((measured.kind == ekf.HEADING) & (measured.t >= stamps[0]))
+    if headings.size:
+        when, yaw, yaw_sigma = float(measured.t[headings[0]]), float(measured.z[headings[0], 0]), 0.05
+    else:
+        within = (at >= stamps[0]) & (at <= stamps[-1])
+        fast = np.flatnonzero(within & (speed > np.maximum(0.5, 8.0 * sigma)))
+        if not fast.size:
+            raise InputError("vel", "the vehicle never moves fast enough for its course to give the yaw")
+        quick = speed[fast] > min(5.0, 0.8 * float(speed[fast].max()))
+        chosen = int(fast[np.flatnonzero(quick)[0]])
+        when, yaw = float(at[chosen]), float(course[chosen])
+        yaw_sigma = float(sigma[chosen] / speed[chosen]) + 0.02
+        if _drives_backwards(at, speed, stamps, rows):
+            yaw += math.pi
+    yaw -= float(np.interp(when, stamps, turned))
+    yaw_sigma += 0.003 * max(0.0, when - stamps[0])
+    c, s = math.cos(yaw), math.sin(yaw)
+    x = np.zeros(ekf.STATES)
+    x[ekf.YAW] = yaw
+    velocity_age = 10.0
+    if at.size:
+        nearest = int(np.argmin(np.abs(at - stamps[0])))
+        velocity_age = abs(float(at[nearest] - stamps[0]))
+        if velocity_age < 1.0:
+            x[ekf.SPEED] = speed[nearest] * math.cos(course[nearest] - yaw)
+    first = int(np.flatnonzero((measured.kind == ekf.FIX) & (measured.t >= stamps[0]))[0])
+    wait = float(measured.t[first] - stamps[0])
+    ahead, left = rows[0, 4], rows[0, 5]
+    x[ekf.X] = measured.z[first, 0] - (ahead * c - left * s) - x[ekf.SPEED] * wait * c
+    x[ekf.Y] = measured.z[first, 1] - (ahead * s + left * c) - x[ekf.SPEED] * wait * s
+    away = 3.0 * measured.z[first, 2] + 0.1 + 3.0 * wait
+    spread = np.array(
+        [away, away, min(yaw_sigma, 1.0), 0.5 + min(3.0 * velocity_age, 10.0), 1.0, 0.1, 0.01, 0.2]
+    )
+    return x, np.diag(spread**2)
+
+
+def _courses(measured: Measurements) -> tuple[Floats, Floats, Floats, Floats]:
+    """Stamps, course rad, speed m/s and its standard deviation, from velocities or else from the
+    displacement between fixes about a second apart."""
+    moving = measured.kind == ekf.VELOCITY
+    if np.count_nonzero(moving) >= 2:
+        east, north = measured.z[moving, 0], measured.z[moving, 1]
+        return measured.t[moving], np.arctan2(north, east), np.hypot(east, north), measured.z[moving, 2]
+    fixes = np.flatnonzero(measured.kind == ekf.FIX)
+    t, p = measured.t[fixes], measured.z[fixes]
+    later = np.minimum(np.searchsorted(t, t + 0.99), t.size - 1)
+    apart = t[later] - t
+    ok = (apart > 0.5) & (apart < 4.0)
+    d = (p[later[ok], :2] - p[ok, :2]) / apart[ok, None]
+    sigma = np.hypot(p[later[ok], 2], p[ok, 2]) / apart[ok]
+    return 0.5 * (t[later[ok]] + t[ok]), np.arctan2(d[:, 1], d[:, 0]), np.hypot(d[:, 0], d[:, 1]), sigma
+
+
+def _drives_backwards(at: Floats, speed: Floats, stamps: Floats, rows: Floats) -> bool:
+    """Whether the vehicle reverses: over a whole drive its forward acceleration by the accelerometer and the
+    change of its speed are anticorrelated. A vehicle too fast to reverse has its sensor mounted so."""
+    grid = np.arange(max(at[0], stamps[0]), min(at[-1], stamps[-1]), 0.5)
+    if grid.size < 6 or np.count_nonzero(np.interp(grid, at, speed) > REVERSE_SPEED) * 0.5 > REVERSE_TIME:
+        return False
+    change = np.gradient(np.interp(grid, at, speed), 0.5)
+    if np.ptp(change) < 0.2:
+        return False
+    rate_hz = 1.0 / float(np.median(np.diff(stamps)))
+    pull = np.interp(grid, stamps, zero_phase(FilterSpec(2, 0.5), rate_hz, rows[:, 1]))
+    return float(np.corrcoef(change, pull)[0, 1]) < -0.5
+
 
 PASSES = 4
-#: Prior of the share of the antenna's sway: 1 with this standard deviation.
-SWAY_SIGMA = 0.3
 FAR = 50.0  # factor on a measurement's standard deviation beyond which it no longer supports a pose
 
 
@@ -33,6 +274,7 @@ def locked_trajectory(
     gps_place: Place,
     datum: Datum,
     t: Floats,
+    *,
     settings: PoseSettings | None = None,
     upright: bool = False,
 ) -> Trajectory:
@@ -93,7 +335,8 @@ def locked_trajectory(
         smooth(now.t, now.inputs, noise, states, covariances)
         share = _sway_share(now, states, share)
         factor = _noise_factors(_with(nodes, share, np.ones(nodes.t.size)), states)
-    return _evaluate(np.asarray(t, dtype=np.float64), nodes, factor, states, signals, rows, settings)
+    t = np.asarray(t, dtype=np.float64)
+    return _evaluate(t, nodes, states, signals, rows, _valid(t, nodes, factor, settings))
 
 
 def _with(nodes: Nodes, share: float, factor: Floats) -> Nodes:
@@ -152,11 +395,10 @@ def _noise_factors(nodes: Nodes, states: Floats) -> Floats:
 def _evaluate(
     t: Floats,
     nodes: Nodes,
-    factor: Floats,
     states: Floats,
     signals: ImuSignals,
     rows: Floats,
-    settings: PoseSettings,
+    valid: NDArray[np.bool_],
 ) -> Trajectory:
     """Between the nodes: cubics through position and velocity, so both stay in step."""
     from scipy.interpolate import CubicHermiteSpline  # a fifth of a second, which live nodes do not wait for
@@ -180,7 +422,7 @@ def _evaluate(
         yaw_rate=yaw_rate,
         ax=np.interp(inside, at, acceleration),
         ay=speed * yaw_rate,
-        valid=_valid(t, nodes, factor, settings) & (t >= at[0]) & (t <= at[-1]),
+        valid=valid & (t >= at[0]) & (t <= at[-1]),
     )
 
 

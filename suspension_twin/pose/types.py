@@ -1,16 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The locked pose: where the real vehicle was, in the plane, at given stamps."""
+"""The locked path, and the settings and priors of the filter that estimates it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
+from suspension_twin.errors import InputError
 
-__all__ = ["Trajectory"]
+__all__ = [
+    "REVERSE_SPEED",
+    "REVERSE_TIME",
+    "SLOPE_TIME",
+    "SWAY_SIGMA",
+    "VELOCITY_SHARE",
+    "PoseSettings",
+    "Trajectory",
+    "fix_sigma",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,3 +70,90 @@ class Trajectory:
 
     def __len__(self) -> int:
         return int(self.t.size)
+
+
+NO_FIX = -1  # sensor_msgs/NavSatStatus
+
+#: m/s and s: nothing on the road reverses this fast for this long. What pulls backwards then is a sensor that faces so.
+REVERSE_SPEED, REVERSE_TIME = 4.0, 3.0
+SLOPE_TIME = 5.0  # s; what tilts the vehicle for longer is a slope, not a sway
+#: Prior of the share of the antenna's sway: 1 with this standard deviation.
+SWAY_SIGMA = 0.3
+#: m/s of a velocity's standard deviation for each m of the fixes', at least: a receiver that is bad at one is at both
+#: (prior, by hand).
+VELOCITY_SHARE = 0.05
+
+
+@dataclass(frozen=True)
+class PoseSettings:
+    """Noise, gates and time constants of the pose filter, the same live and offline.
+
+    ``fix_sigma`` m where the receiver gives no covariance (SBAS and RTK status shrink it);
+    ``fix_floor`` m the least standard deviation believed; ``fix_ceiling`` m the largest that is of
+    use; ``velocity_sigma`` m/s; ``heading_sigma`` rad; ``gate`` standard deviations beyond which a
+    fix is an outlier; ``align_speed`` m/s at which the course gives the yaw;
+    ``outage`` s without a fix after which the pose is no longer valid; ``blend`` s over which a
+    correction is bled in; ``blend_speed`` m/s that it may drift at most; ``snap`` m beyond which it
+    jumps instead; ``history`` s that a fix may come late; ``imu_delay`` s by which ``imu/data`` lags what
+    happened, of use to the live lock alone: the default is that of the default low-pass.
+    """
+
+    fix_sigma: float = 2.5
+    fix_floor: float = 0.01
+    fix_ceiling: float = 30.0
+    velocity_sigma: float = 0.05
+    heading_sigma: float = 0.02
+    gate: float = 6.0
+    align_speed: float = 1.0
+    outage: float = 2.5
+    blend: float = 0.3
+    blend_speed: float = 0.5
+    snap: float = 5.0
+    history: float = 2.0
+    imu_delay: float = 0.01125
+    force_density: float = 2.0e-3
+    jerk_density: float = 0.5
+    gyro_density: float = 2.5e-7
+    gyro_scale: float = 0.01
+    slip: float = 0.006
+    force_bias_walk: float = 4.0e-4
+    gyro_bias_walk: float = 1.0e-8
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if not (math.isfinite(value) and (value > 0 or (value == 0 and item.name == "imu_delay"))):
+                raise InputError("pose", item.name, f"must be above 0, is {value}")
+        if self.imu_delay > 0.2:
+            raise InputError("pose", "imu_delay", f"must be below 0.2 s, is {self.imu_delay}")
+
+    def noise(self, hard: bool = True) -> Floats:
+        """(9,) densities in the order of :mod:`suspension_twin.pose.ekf`, then the distance in standard deviations from
+        which a measurement weighs less and, if ``hard``, the one beyond which it is refused."""
+        return np.array(
+            [
+                self.force_density,
+                self.jerk_density,
+                self.gyro_density,
+                self.gyro_scale,
+                self.slip,
+                self.force_bias_walk,
+                self.gyro_bias_walk,
+                0.5 * self.gate,
+                self.gate if hard else math.inf,
+            ]
+        )
+
+
+def fix_sigma(settings: PoseSettings, status: int, east: float, north: float) -> float:
+    """Standard deviation in m to use for a fix; NaN where the fix is of no use.
+
+    ``status`` of sensor_msgs/NavSatStatus, where a receiver that does not report it (-2) counts as one with a
+    plain fix; ``east`` and ``north`` m, NaN or 0 where not given.
+    """
+    if status == NO_FIX:
+        return math.nan
+    if math.isfinite(east) and math.isfinite(north) and (east > 0 or north > 0):
+        sigma = math.sqrt(0.5 * (east * east + north * north))
+        return math.nan if sigma > settings.fix_ceiling else max(sigma, settings.fix_floor)
+    return settings.fix_sigma * {1: 0.4, 2: 0.02}.get(status, 1.0)

@@ -160,7 +160,7 @@ def carried_up(
 
     ``t`` (n,) s strictly rising, ``force`` (n, 3) specific force less the vehicle's own planar
     acceleration, ``rate`` (n, 3) rad/s less its bias, ``time_constant`` (n,) s of the
-    accelerometer's say.
+    accelerometer against the gyro.
     """
     gain = 1.0 / time_constant
     begin = _start(t, force, rate, time_constant)

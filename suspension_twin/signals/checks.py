@@ -37,7 +37,7 @@ Units = Literal["m/s2", "g", "gravity removed", "unknown"]
 @dataclass(frozen=True)
 class Finding:
     """One thing noticed. ``level`` "ok", "warn" or "error" (the result cannot be trusted until it is put
-    right), ``code`` a stable word, ``text`` one line that says what it is and what to do."""
+    right), ``code`` a stable word, ``text`` one line: the fault and its remedy."""
 
     level: Literal["ok", "warn", "error"]
     code: str
@@ -58,7 +58,7 @@ def recognise_units(force: Floats) -> Units:
 
 
 def check_units(units: Units, length: float) -> Finding | None:
-    """What to say about ``units``; ``length`` is that of the mean specific force as delivered."""
+    """Finding about ``units``; ``length`` is that of the mean specific force as delivered."""
     if units == "g":
         return Finding(
             "warn", "units_g", f"accelerations come in g (mean {length:.2f}), taken times 9.80665: send m/s²"

@@ -32,7 +32,7 @@ MAX_STAMP = 1.0e11
 
 @dataclass(frozen=True, eq=False)
 class Cleaned:
-    """What is left of a recording's stamps, and what was wrong with them.
+    """Usable stamps of a recording, and the faults of the others.
 
     ``keep`` (n,) indices into the original in the order of time, ``stamps`` (n,) s strictly
     rising; counts of ``invalid`` (not finite or before 1), ``duplicates``, ``reordered`` samples
@@ -111,7 +111,7 @@ def find_gaps(stamps: Floats, rate: float, samples: float = 3.5) -> Floats:
 
 
 class Stamp(enum.Enum):
-    """What a live stamp is, compared with those before it."""
+    """Kinds of a live stamp, compared with those before it."""
 
     FIRST = "first"
     NEXT = "next"

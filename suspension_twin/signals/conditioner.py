@@ -116,8 +116,7 @@ class Conditioner:
     grid: Floats
     rate: float
     valid: NDArray[np.bool_]
-    _index: NDArray[np.int64]
-    _weight: Floats
+    _taps: tuple[NDArray[np.int64], Floats]
 
     @classmethod
     def for_stamps(cls, t: ArrayLike, spec: FilterSpec, zero_phase: bool = True) -> Conditioner:
@@ -147,7 +146,7 @@ class Conditioner:
             valid[(grid > start - before) & (grid < end + settle)] = False
         valid[grid > stamps[-1] - before] = False
         valid[grid < stamps[0] + settle] = False
-        return cls(spec, zero_phase, stamps, cleaned.keep, grid, rate, valid, index, weight)
+        return cls(spec, zero_phase, stamps, cleaned.keep, grid, rate, valid, (index, weight))
 
     def apply(self, x: ArrayLike) -> Floats:
         """(n, ...) samples at ``stamps`` to (m, ...) on ``grid``. Linear; every lane on its own."""
@@ -157,6 +156,6 @@ class Conditioner:
                 "signal", f"has shape {values.shape}, must have {self.stamps.size} samples first"
             )
         lanes = np.ascontiguousarray(values.reshape(len(values), -1))
-        uniform = _resample(lanes, self._index, self._weight)
+        uniform = _resample(lanes, *self._taps)
         out = filter_lanes(self.spec, self.rate, uniform, zero_phase=self.zero_phase)
         return out.reshape(self.grid.size, *values.shape[1:])

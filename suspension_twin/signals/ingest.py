@@ -11,32 +11,110 @@ from typing import NamedTuple
 import numpy as np
 
 from suspension_twin.arrays import Floats
+from suspension_twin.compiled import compiled
 from suspension_twin.errors import InputError
-from suspension_twin.signals.attitude import level_rpy, normal_gravity, rpy_matrix, tilt_of
+from suspension_twin.signals.attitude import up_step
 from suspension_twin.signals.checks import (
     FULL_SCALES,
     Finding,
     Units,
     check_axes,
-    check_mounting,
     check_rate,
-    check_units,
     recognise_units,
 )
 from suspension_twin.signals.clock import LiveClock, Stamp
-from suspension_twin.signals.filters import FilterSpec, settle, steady_state
-from suspension_twin.signals.ingest_step import ingest_step
-from suspension_twin.signals.settings import ImuSettings
-from suspension_twin.signals.standstill import MAX_TILT_DIFFERENCE, is_still, rest_bias
-from suspension_twin.units import STANDARD_GRAVITY
+from suspension_twin.signals.filters import FilterSpec, filter_row, settle, steady_state
+from suspension_twin.signals.imu import (
+    MAX_TILT_DIFFERENCE,
+    ImuReading,
+    ImuSettings,
+    is_still,
+    standstill_filter_step,
+)
 from suspension_twin.vehicle.twin import Place
 
-__all__ = ["ImuIngest", "ImuSettings", "IngestOutput"]
+__all__ = [
+    "ImuIngest",
+    "ImuSettings",
+    "IngestOutput",
+    "ingest_step",
+]
+
+
+@compiled
+def ingest_step(
+    turn: Floats,
+    bias: Floats,
+    up: Floats,
+    up_bias: Floats,
+    sos: Floats,
+    zi: Floats,
+    state: Floats,
+    last: Floats,
+    soft: Floats,
+    block: Floats,
+    raw: Floats,
+    dt: float,
+    missing: int,
+    gravity: float,
+    gain: float,
+    removed: bool,
+    restore: bool,
+    out: Floats,
+) -> None:  # pragma: no cover - compiled
+    """One sample: ``turn`` (6, 3) scale and rotation, ``bias`` (6,) of force and rate,
+    ``up_bias`` (3,) the attitude's own, ``last`` (12,) the row before and the filtered rate, ``soft`` (3, 6) and
+    ``block`` (19,) the standstill window, ``out`` (21,). ``missing`` rows are interpolated into the filter; below 0
+    it starts anew. Of a sensor that has ``removed`` gravity, gravity is put back if ``restore``."""
+    row = np.empty(9)
+    for k in range(3):
+        f = 0.0
+        w = 0.0
+        for j in range(3):
+            f += turn[k, j] * raw[j]
+            w += turn[3 + k, j] * raw[3 + j]
+        row[k] = f - bias[k]
+        row[3 + k] = w - bias[3 + k]
+    standstill_filter_step(soft, row[0:6], dt)
+    block[0] += 1.0
+    for k in range(6):
+        block[1 + k] += row[k]
+        off = soft[2, k] - block[13 + k]  # Welford's recurrence for the filtered signal's variance
+        block[13 + k] += off / block[0]
+        block[7 + k] += off * (soft[2, k] - block[13 + k])
+    if removed:
+        for k in range(3):
+            row[6 + k] = row[k]
+            if restore:
+                row[k] += gravity * up[k]
+    else:
+        up_step(up, up_bias, row[0:3], row[3:6], dt, gravity, gain, 0.02)
+        for k in range(3):
+            row[6 + k] = row[k] - gravity * up[k]
+    if missing < 0:
+        settle(zi, state, row)
+    else:
+        between = np.empty(9)
+        for m in range(missing):
+            part = (m + 1.0) / (missing + 1.0)
+            for k in range(9):
+                between[k] = last[k] + part * (row[k] - last[k])
+            filter_row(sos, state, between, out[0:9])
+    filter_row(sos, state, row, out[0:9])
+    for k in range(9):
+        last[k] = row[k]
+    for k in range(6):
+        out[9 + k] = row[k]
+    for k in range(3):
+        out[15 + k] = up[k]
+        out[18 + k] = 0.0 if missing < 0 or dt <= 0.0 else (out[3 + k] - last[9 + k]) / dt
+        last[9 + k] = out[3 + k]
+
 
 #: No sensor of a vehicle sends this much, in whatever unit.
 ABSURD = 1.0e5
-#: Of a row of ``ingest_step``: specific force, vertical acceleration and raw specific force.
-_FORCES = [0, 1, 2, 6, 7, 8, 9]
+#: Of a row of ``ingest_step``: specific force, acceleration and raw specific force.
+_FORCES = [0, 1, 2, 6, 7, 8, 9, 10, 11]
 Vector = tuple[float, float, float]
 
 
@@ -44,17 +122,24 @@ class IngestOutput(NamedTuple):
     """One sample, all vectors in ``base_link`` axes at the sensor's place.
 
     ``t`` s; ``force`` m/s² specific force, bias removed, filtered, gravity kept; ``rate`` rad/s, the same;
-    ``vertical_acceleration`` m/s² filtered, gravity removed; ``raw_force`` and ``raw_rate`` unfiltered,
-    bias removed; ``up`` the unit vector opposite to gravity.
+    ``acceleration`` m/s² the filtered force without gravity; ``raw_force`` and ``raw_rate`` unfiltered,
+    bias removed; ``up`` the unit vector opposite to gravity; ``angular_acceleration`` rad/s², the change of the
+    filtered rate since the sample before, 0 after a pause.
     """
 
     t: float
     force: Vector
     rate: Vector
-    vertical_acceleration: float
+    acceleration: Vector
     raw_force: Vector
     raw_rate: Vector
     up: Vector
+    angular_acceleration: Vector
+
+    @property
+    def vertical_acceleration(self) -> float:
+        """m/s², filtered, gravity removed."""
+        return self.acceleration[2]
 
 
 class ImuIngest:
@@ -62,13 +147,12 @@ class ImuIngest:
 
     Nothing comes out until the sample rate is known (17 samples). A stamp that is set back (a
     looped bag) resets everything; one that is a little late or repeated is dropped; a pause restarts
-    the filter. ``findings`` says what is odd, ``counts`` how often what happened.
+    the filter. ``findings`` are the present faults, ``counts`` those of samples.
     """
 
     def __init__(self, settings: ImuSettings, place: Place) -> None:
         self.settings = settings
         self.place = place
-        self._file_turn = rpy_matrix(place.rpy)
         self._clock = LiveClock()
         self.reset()
 
@@ -79,12 +163,12 @@ class ImuIngest:
 
     @property
     def standing(self) -> bool:
-        """Whether the last full window says that the vehicle stands."""
+        """Whether the vehicle stands by the last full window."""
         return self._still_blocks >= 2
 
     @property
     def findings(self) -> list[Finding]:
-        """What is odd now, worst first."""
+        """Present faults, worst first."""
         order = {"error": 0, "warn": 1, "ok": 2}
         found = list(self._findings.values())
         lost = self.counts["invalid"]
@@ -104,15 +188,11 @@ class ImuIngest:
         self._findings: dict[str, Finding] = {}
         self._pending: list[tuple[float, ...]] = []
         self._window: list[tuple[float, ...]] = []
-        self._units: Units = "m/s2"
         self._unit_mismatches = 0
-        self._scale = self._unit = 1.0
-        self._gravity = normal_gravity(self.settings.latitude)
-        self._max_bias = self.settings.max_bias
-        self._level = np.eye(3)
-        self._bias = np.zeros(9)
+        self._reading = ImuReading(self.settings, self.place, self.settings.latitude)
+        self._up_bias = np.zeros(3)
         self._up = np.array([0.0, 0.0, 1.0])
-        self._last = np.zeros(7)
+        self._last = np.zeros(12)
         self._last_t = math.nan
         self._block = np.zeros(19)
         self._soft = np.zeros((3, 6))
@@ -128,7 +208,7 @@ class ImuIngest:
     def push(self, t: float, force: Sequence[float], rate: Sequence[float]) -> IngestOutput | None:
         """One message: ``t`` s, ``force`` (3,) and ``rate`` (3,) in the sensor's axes as they were sent.
 
-        None where nothing can be said: not yet, or the message was dropped.
+        None while the rate is not known, and for a message that was dropped.
         """
         try:
             sample = (*map(float, force), *map(float, rate))
@@ -168,7 +248,7 @@ class ImuIngest:
         return out
 
     def _is_clipped(self, sample: tuple[float, ...]) -> bool:
-        largest = max(abs(sample[0]), abs(sample[1]), abs(sample[2])) * self._scale
+        largest = max(abs(sample[0]), abs(sample[1]), abs(sample[2])) * self._reading.scale
         if self.settings.full_scale is not None:
             if largest >= 0.999 * self.settings.full_scale:
                 return True
@@ -191,12 +271,13 @@ class ImuIngest:
             missing = round(dt * self._designed) - 1
             self.counts["missing"] += missing
         self._last_t = t
-        out = np.empty(16)
+        out = np.empty(21)
         gain = (10.0 if self._still_blocks >= 2 else 1.0) / self.settings.attitude_time
         ingest_step(
             self._turn,
-            self._bias,
+            self._reading.bias,
             self._up,
+            self._up_bias,
             self._sos,
             self._zi,
             self._state,
@@ -206,26 +287,19 @@ class ImuIngest:
             np.array(sample),
             dt,
             missing,
-            self._gravity,
+            self._reading.gravity,
             gain,
-            self._units == "gravity removed",
+            self._reading.removed,
             self.settings.restore_gravity,
             out,
         )
         if self._block[0] >= self._block_size:
             self._end_block()
-        if self._unit != 1.0:  # a sensor in g that is to be left so
-            out[_FORCES] /= self._unit
+        if self._reading.unit != 1.0:  # a sensor in g that is to be left so
+            out[_FORCES] /= self._reading.unit
         v = out.tolist()
-        return IngestOutput(
-            t,
-            (v[0], v[1], v[2]),
-            (v[3], v[4], v[5]),
-            v[6],
-            (v[7], v[8], v[9]),
-            (v[10], v[11], v[12]),
-            (v[13], v[14], v[15]),
-        )
+        vectors = zip(v[::3], v[1::3], v[2::3], strict=True)
+        return IngestOutput(t, *vectors)
 
     def _note(self, code: str, finding: Finding | None) -> None:
         for known in [k for k in self._findings if k.split(".")[0] == code]:
@@ -234,7 +308,7 @@ class ImuIngest:
             self._findings[f"{code}.{finding.code}"] = finding
 
     def _design(self, rate_hz: float) -> None:
-        """Filter sections for the measured rate; a cut-off that it cannot carry is lowered, and said."""
+        """Filter sections for the measured rate; a cut-off that it cannot carry is lowered, with a finding."""
         spec, note = self.settings.filter, None
         try:
             self._sos = spec.sections(rate_hz)
@@ -245,9 +319,9 @@ class ImuIngest:
         self._note("cutoff", note)
         self._note("rate", check_rate(rate_hz))
         self._zi = steady_state(self._sos)
-        self._state = np.zeros((self._sos.shape[0], 2, 7))
+        self._state = np.zeros((self._sos.shape[0], 2, 9))
         if math.isfinite(self._designed):
-            settle(self._zi, self._state, self._last)
+            settle(self._zi, self._state, self._last[:9])
         self._designed = rate_hz
         self._block_size = max(round(self.settings.still.window * rate_hz), 8)
 
@@ -258,52 +332,42 @@ class ImuIngest:
         self._set_units(recognise_units(rows[:, 1:4]), rows[:, 1:4])
         mean = self._turn[:3] @ rows[:, 1:4].mean(axis=0)
         if (
-            abs(float(np.linalg.norm(mean)) / self._gravity - 1.0) < 0.2
-        ):  # a bump says nothing of the mounting
+            abs(float(np.linalg.norm(mean)) / self._reading.gravity - 1.0) < 0.2
+        ):  # a bump does not show the mounting
             self._check_level(mean)
         body = rows[:, 1:4] @ self._turn[:3].T
         rates = rows[:, 4:7] @ self._turn[3:].T
         turn = float(np.abs(rates.mean(axis=0)).max())
         if is_still(float(body.std(axis=0).max()), float(rates.std(axis=0).max()), turn, self.settings.still):
             self._learn_rest(np.concatenate([body.mean(axis=0), rates.mean(axis=0)]), 1.0)
-        if self._units != "gravity removed":
-            first = body.mean(axis=0) - self._bias[:3]
+        if not self._reading.removed:
+            first = body.mean(axis=0) - self._reading.bias[:3]
             length = float(np.linalg.norm(first))
             if length > 1.0:
                 self._up = first / length
-        self._soft[:] = np.concatenate([body[0], rates[0]]) - self._bias[:6]
+        self._soft[:] = np.concatenate([body[0], rates[0]]) - self._reading.bias
         self._block[:] = 0.0
 
     def _set_units(self, units: Units, force: Floats) -> None:
-        self._units = units
-        length = float(np.linalg.norm(force.mean(axis=0)))
-        self._note("units", check_units(units, length))
-        self._scale = STANDARD_GRAVITY if units == "g" else 1.0
-        self._unit = 1.0 if self.settings.convert_units else self._scale
-        if units == "gravity removed":
+        self._note("units", self._reading.take_units(units, force))
+        if self._reading.removed:
             self._up[:] = (0.0, 0.0, 1.0)
         self._update_turn()
 
     def _update_turn(self) -> None:
-        rotation = self._level @ self._file_turn
-        self._turn[:3] = self._scale * rotation
+        rotation = self._reading.level @ self._reading.mounting
+        self._turn[:3] = self._reading.scale * rotation
         self._turn[3:] = rotation
 
     def _check_level(self, mean: Floats) -> bool:
         """``mean`` (3,) is the specific force at rest in today's axes; True if they were turned for it."""
-        if self._units == "gravity removed":
+        self._note("mounting", self._reading.check_level(mean))
+        turn = self._reading.take_level(mean)
+        if turn is None:
             return False
-        small = self._max_bias / self._gravity
-        self._note("mounting", check_mounting(self._level.T @ mean, self.place.rpy, small))
-        tilt = tilt_of(mean)
-        level = self.settings.level
-        if not ((level == "gross" and tilt > math.pi / 4) or (level == "always" and tilt > small)):
-            return False
-        turn = rpy_matrix(level_rpy(mean))
-        self._level = turn @ self._level
         self._update_turn()
         self._up[:] = turn @ self._up
-        self._bias[:] = 0.0
+        self._up_bias[:] = 0.0
         self._rest_count = 0.0
         return True
 
@@ -311,28 +375,24 @@ class ImuIngest:
         """Take ``mean`` (6,) of a standing window into the biases; all standstills count alike."""
         self._rest_count += weight
         self._rest_mean += (mean - self._rest_mean) * (weight / self._rest_count)
-        if self._units != "gravity removed":
-            self._bias[:3] = rest_bias(self._rest_mean[:3], self._gravity, self._max_bias)
-        else:
-            self._bias[:3] = self._rest_mean[:3]
-        self._bias[3:6] = self._rest_mean[3:6]
-        self._bias[6:9] = 0.0
+        self._reading.take_rest(self._rest_mean[:3], self._rest_mean[3:])
+        self._up_bias[:] = 0.0
 
     def _end_block(self) -> None:
         """A standstill window is full: judge it. Biases learn from the one before it, which surely
         holds no moving off."""
         n = self._block[0]
-        rest = self._block[1:7] / n + self._bias[:6]
+        rest = self._block[1:7] / n + self._reading.bias
         std = np.sqrt(self._block[7:13] / n)
         limits = self.settings.still
         force_std, rate_std, turn = float(std[:3].max()), float(std[3:].max()), float(np.abs(rest[3:]).max())
         still = is_still(force_std, rate_std, turn, limits)
         # Constant acceleration looks like standstill, but the force is tilted against the vertical that the gyro
         # gives. With an unknown gyro bias that vertical drifts: three very quiet seconds count all the same.
-        tilt = float(np.linalg.norm((self._block[1:3] / n) / self._gravity - self._up[:2]))
+        tilt = float(np.linalg.norm((self._block[1:3] / n) / self._reading.gravity - self._up[:2]))
         very_quiet = still and force_std < 0.5 * limits.force and rate_std < 0.5 * limits.rate
         self._quiet_blocks = self._quiet_blocks + 1 if very_quiet and tilt < 0.1 else 0
-        if self._units != "gravity removed" and tilt > MAX_TILT_DIFFERENCE:
+        if not self._reading.removed and tilt > MAX_TILT_DIFFERENCE:
             still = self._quiet_blocks * limits.window >= 3.0
         if not still:
             self._still_blocks = 0
@@ -354,10 +414,10 @@ class ImuIngest:
         self._note("axes", dead[0] if dead else None)
         units = recognise_units(rows[:, :3])
         self._unit_mismatches = (
-            self._unit_mismatches + 1 if units != self._units and units != "unknown" else 0
+            self._unit_mismatches + 1 if units != self._reading.units and units != "unknown" else 0
         )
         if self._unit_mismatches >= 2:
             self._set_units(units, rows[:, :3])
-            self._bias[:] = 0.0
+            self._reading.bias[:] = self._up_bias[:] = 0.0
             self._rest_count = 0.0
             self._unit_mismatches = 0

@@ -15,61 +15,180 @@ from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
 from suspension_twin.signals.attitude import (
     carried_up,
-    level_rpy,
-    normal_gravity,
-    rpy_matrix,
     smooth_up,
-    tilt_of,
 )
 from suspension_twin.signals.checks import (
     Finding,
     check_axes,
-    check_mounting,
     check_rate,
-    check_units,
     recognise_units,
     saturated_samples,
 )
 from suspension_twin.signals.clock import Cleaned, clean_stamps, find_gaps, nominal_rate
-from suspension_twin.signals.ground import NO_FIX, Ground, ground_motion
-from suspension_twin.signals.settings import ImuSettings
-from suspension_twin.signals.standstill import MAX_TILT_DIFFERENCE, rest_bias, standstill_mask
-from suspension_twin.units import STANDARD_GRAVITY
+from suspension_twin.signals.imu import MAX_TILT_DIFFERENCE, ImuReading, ImuSettings, standstill_mask
 from suspension_twin.vehicle.twin import Place
 
-__all__ = ["ImuSignals", "ingest_drive"]
+__all__ = [
+    "NO_FIX",
+    "GnssMotion",
+    "ImuFacts",
+    "ImuSignals",
+    "gnss_motion",
+    "ingest_drive",
+]
+
+NO_FIX = -1  # sensor_msgs/NavSatStatus
+FAST = 3.0  # m/s from which a course is one
+NEAR = 1.5  # s beyond which a stamp is too far from another
+
+
+@dataclass(frozen=True, eq=False)
+class GnssMotion:
+    """``t`` (m,) s rising, ``east`` and ``north`` (m,) m/s over ground, ``noise`` m/s their uncertainty."""
+
+    t: Floats
+    east: Floats
+    north: Floats
+    noise: float
+
+    @property
+    def known(self) -> bool:
+        """Whether there is anything to go by."""
+        return self.t.size >= 4
+
+    def _near(self, t: Floats) -> Floats:
+        after = np.clip(np.searchsorted(self.t, t), 1, self.t.size - 1)
+        return np.minimum(np.abs(t - self.t[after - 1]), np.abs(t - self.t[after]))
+
+    def least_speed(self, t: Floats) -> Floats:
+        """(n,) m/s at stamps ``t`` that the vehicle has at least, NaN far from any message."""
+        speed = np.maximum(np.hypot(self.east, self.north) - self.noise, 0.0)
+        return np.where(self._near(t) < NEAR, np.interp(t, self.t, speed), np.nan)
+
+    def acceleration(self, t: Floats, yaw_rate: Floats, place: tuple[float, float, float]) -> Floats:
+        """(n, 3) m/s² in the plane at ``place`` in ``base_link``, ahead and to the left, by the vehicle's motion
+        and the ``yaw_rate`` (n,) rad/s; zero where the motion is not known."""
+        out = np.zeros((t.size, 3))
+        if self.noise > 0.5:
+            return out
+        # On an even grid at 10 Hz, smoothed over about half a second: braking, not noise.
+        span = self.t[-1] - self.t[0]
+        grid = np.linspace(self.t[0], self.t[-1], max(3, round(span / 0.1) + 1))
+        speed = np.interp(grid, self.t, np.hypot(self.east, self.north))
+        pull = gaussian_filter1d(np.gradient(speed, grid), 3.0, mode="nearest")
+        turn = np.interp(grid, t, yaw_rate)
+        faster = np.interp(t, grid, gaussian_filter1d(np.gradient(turn, grid), 1.0, mode="nearest"))
+        near = self._near(t) < NEAR
+        ahead = np.interp(t, grid, pull) - yaw_rate**2 * place[0] - faster * place[1]
+        left = np.interp(t, grid, speed) * yaw_rate + faster * place[0] - yaw_rate**2 * place[1]
+        out[near, 0], out[near, 1] = ahead[near], left[near]
+        return out
+
+    def yaw_rate_bias(self, t: Floats, yaw_rate: Floats) -> float | None:
+        """Rate in rad/s by which the gyro turns more than the course, over ten seconds of driving at least."""
+        fast = np.hypot(self.east, self.north) > FAST + self.noise
+        pair = fast[1:] & fast[:-1] & (np.diff(self.t) < NEAR)
+        pair &= (self.t[:-1] >= t[0]) & (self.t[1:] <= t[-1])
+        time = float(np.sum(np.diff(self.t)[pair]))
+        if time < 10.0:
+            return None
+        course = np.arctan2(self.north, self.east)
+        turned = np.concatenate([[0.0], np.cumsum(np.diff(t) * 0.5 * (yaw_rate[1:] + yaw_rate[:-1]))])
+        more = np.diff(np.interp(self.t, t, turned)) - np.diff(course)
+        wrapped = np.remainder(more[pair] + np.pi, 2 * np.pi) - np.pi
+        return float(np.sum(wrapped)) / time
+
+
+def gnss_motion(drive: Drive) -> GnssMotion:
+    """From the velocities, or else from the way between fixes as far apart as their noise demands."""
+    velocity, fix = drive.velocity, drive.fix
+    good = np.isfinite(velocity.t) & np.isfinite(velocity.enu[:, :2]).all(axis=1)
+    if np.count_nonzero(good) >= 4:
+        stamps, first = np.unique(velocity.t[good], return_index=True)
+        return GnssMotion(stamps, velocity.enu[good, 0][first], velocity.enu[good, 1][first], 0.0)
+    good = (
+        np.isfinite(fix.t) & np.isfinite(fix.latitude) & np.isfinite(fix.longitude) & (fix.status != NO_FIX)
+    )
+    stamps, first = np.unique(fix.t[good], return_index=True)
+    if stamps.size < 4:
+        return GnssMotion(np.empty(0), np.empty(0), np.empty(0), 0.0)
+    latitude, longitude = fix.latitude[good][first], fix.longitude[good][first]
+    # A sphere will do: a thousandth of a speed does not matter here.
+    north = 111_200.0 * (latitude - latitude[0])
+    east = 111_200.0 * math.cos(math.radians(latitude[0])) * (longitude - longitude[0])
+    reported = fix.sigma[good, :2]
+    sigma = float(np.median(reported[np.isfinite(reported)])) if np.isfinite(reported).any() else 2.5
+    apart = float(np.clip(14.0 * sigma, 0.1, 1.0))  # s that make 0.1 m/s of the noise
+    later = np.minimum(np.searchsorted(stamps, stamps + 0.99 * apart), stamps.size - 1)
+    ok = later > np.arange(stamps.size)
+    step = (stamps[later] - stamps)[ok]
+    return GnssMotion(
+        0.5 * (stamps[later] + stamps)[ok],
+        (east[later] - east)[ok] / step,
+        (north[later] - north)[ok] / step,
+        4.0 * sigma / float(np.median(step)),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class ImuFacts:
+    """Facts of a drive's IMU: its ``place``; ``gravity`` m/s²; ``rate_hz``; ``force_bias`` m/s² and ``rate_bias`` rad/s
+    (3,), what was subtracted, ``base_link`` axes; ``gaps`` (k, 2) start and end in s; ``findings``."""
+
+    place: Place
+    gravity: float
+    rate_hz: float
+    force_bias: Floats
+    rate_bias: Floats
+    gaps: Floats
+    findings: list[Finding]
 
 
 @dataclass(frozen=True, eq=False)
 class ImuSignals:
-    """A drive's IMU in ``base_link`` axes at the sensor's place, at the ``n`` stamps kept, unfiltered.
+    """A drive's IMU in ``base_link`` axes at the sensor's place, at the ``n`` usable stamps, unfiltered.
 
-    ``t`` (n,) s strictly rising, ``keep`` (n,) their indices in the recording, ``force`` (n, 3) m/s²
-    specific force with gravity, ``rate`` (n, 3) rad/s, biases removed from both;
-    ``vertical_acceleration`` (n,) m/s² gravity removed; ``up`` (n, 3) unit vector opposite to gravity;
-    ``force_bias`` and ``rate_bias`` (3,) what was subtracted, ``base_link`` axes; ``gravity`` m/s²;
-    ``rate_hz``; ``standing``, ``saturated`` (n,); ``gaps`` (k, 2) start and end in s; ``findings``;
-    ``place`` of the sensor.
+    ``t`` (n,) s strictly rising; ``force`` (n, 3) m/s² specific force with gravity, ``rate`` (n, 3) rad/s, biases
+    removed from both; ``vertical_acceleration`` (n,) m/s² gravity removed; ``up`` (n, 3) unit vector opposite to
+    gravity; ``standing``, ``saturated`` (n,); ``facts`` of the whole drive.
     """
 
     t: Floats
-    keep: NDArray[np.intp]
     force: Floats
     rate: Floats
     vertical_acceleration: Floats
     up: Floats
-    force_bias: Floats
-    rate_bias: Floats
-    gravity: float
-    rate_hz: float
     standing: NDArray[np.bool_]
     saturated: NDArray[np.bool_]
-    gaps: Floats
-    findings: list[Finding]
-    place: Place
+    facts: ImuFacts
 
     def __len__(self) -> int:
         return int(self.t.size)
+
+    @property
+    def place(self) -> Place:
+        """Place of the sensor."""
+        return self.facts.place
+
+    @property
+    def gravity(self) -> float:
+        """Gravity in m/s²."""
+        return self.facts.gravity
+
+    @property
+    def rate_hz(self) -> float:
+        """Samples per second."""
+        return self.facts.rate_hz
+
+    @property
+    def force_bias(self) -> Floats:
+        """(3,) m/s², subtracted from the force."""
+        return self.facts.force_bias
+
+    @property
+    def findings(self) -> list[Finding]:
+        """Oddities of the recording."""
+        return self.facts.findings
 
 
 def ingest_drive(drive: Drive, place: Place, settings: ImuSettings | None = None) -> ImuSignals:
@@ -118,21 +237,20 @@ def ingest_drive(drive: Drive, place: Place, settings: ImuSettings | None = None
     raw_force, raw_rate = imu.specific_force[cleaned.keep], imu.angular_rate[cleaned.keep]
     findings += check_axes(raw_force, raw_rate)
 
-    units = recognise_units(raw_force)
-    findings += _listed(check_units(units, float(np.linalg.norm(raw_force.mean(axis=0)))))
-    scale = STANDARD_GRAVITY if units == "g" else 1.0
-    saturated = saturated_samples(scale * raw_force, settings.full_scale)
+    reading = ImuReading(settings, place, _latitude(drive, settings))
+    findings += _listed(reading.take_units(recognise_units(raw_force), raw_force))
+    saturated = saturated_samples(reading.scale * raw_force, settings.full_scale)
     saturated |= saturated_samples(raw_rate, settings.full_scale_rate)
     if saturated.any():
         text = f"{int(saturated.sum())} of {t.size} samples sit at the end of the range: set a larger range"
         findings.append(Finding("warn", "saturated", text))
 
-    turn = rpy_matrix(place.rpy)
-    force, rate = scale * raw_force @ turn.T, raw_rate @ turn.T
-    ground = ground_motion(drive)
+    turn = reading.mounting
+    force, rate = reading.scale * raw_force @ turn.T, raw_rate @ turn.T
+    ground = gnss_motion(drive)
     speed = ground.least_speed(t) if ground.known else None
     standing = standstill_mask(rate_hz, force, rate, settings.still, speed)
-    if len(drive.velocity) < 4 and units != "gravity removed":
+    if len(drive.velocity) < 4 and not reading.removed:
         standing &= ~_accelerating(t, force, rate, rate_hz, settings.attitude_time)
     stands = int(standing.sum()) >= 0.5 * rate_hz
     rate_bias = rate[standing].mean(axis=0) if stands else _driving_bias(ground, t, rate)
@@ -145,43 +263,27 @@ def ingest_drive(drive: Drive, place: Place, settings: ImuSettings | None = None
         planar = ground.acceleration(t, rate[:, 2], place.position)
         planar[standing] = 0.0
 
-    gravity, max_bias = normal_gravity(_latitude(drive, settings)), settings.max_bias
     rest = force[standing].mean(axis=0) if stands else (force - planar).mean(axis=0)
-    if units == "gravity removed":
-        force_bias = rest
+    findings += _listed(reading.check_level(rest))
+    level = reading.take_level(rest)
+    if level is not None:
+        force, rate, rate_bias, rest = force @ level.T, rate @ level.T, level @ rate_bias, level @ rest
+    reading.take_rest(rest, rate_bias)
+    force = force - reading.bias[:3]
+    gravity = reading.gravity
+    if reading.removed:
         up = np.tile([0.0, 0.0, 1.0], (t.size, 1))
-        force = force - force_bias + (gravity * up if settings.restore_gravity else 0.0)
-        vertical = force[:, 2] - (gravity if settings.restore_gravity else 0.0)
+        vertical = force[:, 2].copy()
+        if settings.restore_gravity:
+            force = force + gravity * up
+            vertical = force[:, 2] - gravity
     else:
-        small = max_bias / gravity
-        findings += _listed(check_mounting(rest, place.rpy, small))
-        level, tilt = settings.level, tilt_of(rest)
-        if (level == "gross" and tilt > math.pi / 4) or (level == "always" and tilt > small):
-            turn = rpy_matrix(level_rpy(rest))
-            force, rate, rate_bias, rest = force @ turn.T, rate @ turn.T, turn @ rate_bias, turn @ rest
-        force_bias = rest_bias(rest, gravity, max_bias)
-        force = force - force_bias
         length = np.where(standing, 0.1 * settings.attitude_time, settings.attitude_time)
         up = smooth_up(t, force - planar, rate, gravity, length)
         vertical = force[:, 2] - gravity * up[:, 2]
-    unit = 1.0 if settings.convert_units else scale  # a sensor in g that is to be left so
-    return ImuSignals(
-        t=t,
-        keep=cleaned.keep,
-        force=force / unit,
-        rate=rate,
-        vertical_acceleration=vertical / unit,
-        up=up,
-        force_bias=force_bias / unit,
-        rate_bias=rate_bias,
-        gravity=gravity / unit,
-        rate_hz=rate_hz,
-        standing=standing,
-        saturated=saturated,
-        gaps=gaps,
-        findings=findings,
-        place=place,
-    )
+    unit = reading.unit  # a sensor in g that is to be left so
+    facts = ImuFacts(place, gravity / unit, rate_hz, reading.bias[:3] / unit, rate_bias, gaps, findings)
+    return ImuSignals(t, force / unit, rate, vertical / unit, up, standing, saturated, facts)
 
 
 def _accelerating(t: Floats, force: Floats, rate: Floats, rate_hz: float, time: float) -> NDArray[np.bool_]:
@@ -195,7 +297,7 @@ def _accelerating(t: Floats, force: Floats, rate: Floats, rate_hz: float, time: 
     return np.asarray(np.linalg.norm(mean - up, axis=1) > MAX_TILT_DIFFERENCE, dtype=np.bool_)
 
 
-def _driving_bias(ground: Ground, t: Floats, rate: Floats) -> Floats:
+def _driving_bias(ground: GnssMotion, t: Floats, rate: Floats) -> Floats:
     """(3,) gyro bias of a drive that never stands: roll and pitch come back to where they were, and the yaw
     turns as the course does, if that is known."""
     about_z = ground.yaw_rate_bias(t, rate[:, 2]) if ground.known else None

@@ -29,6 +29,7 @@ ROWS = (
     {"inference"},
     {"calibration"},
     {"diagnosis"},
+    {"live"},
     {"report"},
     {"api"},
     {"nodes"},

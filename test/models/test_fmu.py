@@ -29,7 +29,7 @@ from suspension_twin.models.excitation import excitation
 from suspension_twin.models.live import LiveModel, LiveState, live_twin
 from suspension_twin.models.parameters import lanes
 from suspension_twin.models.simulate import simulate_lanes, simulate_twin
-from suspension_twin.models.types import Excitation, PlanarMotion, Response
+from suspension_twin.models.types import Excitation, PoseSample, Response
 from suspension_twin.pose.types import Trajectory
 from suspension_twin.road import load_road
 from suspension_twin.vehicle.twin import Twin, load_twin, parse_twin, save_twin
@@ -66,8 +66,8 @@ def deviation(found: Response, wanted: Response) -> float:
 
 def followed(model: LiveModel, path: Trajectory) -> list[LiveState]:
     """The states of a live model along a path."""
-    rows = np.stack([getattr(path, name) for name in ("t", *PlanarMotion._fields)], axis=1).tolist()
-    return [model.step(t, PlanarMotion(*row)) for t, *row in rows]
+    rows = np.stack([getattr(path, name) for name in ("t", *PoseSample._fields)], axis=1).tolist()
+    return [model.step(t, PoseSample(*row)) for t, *row in rows]
 
 
 @pytest.fixture(scope="module")

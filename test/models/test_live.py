@@ -14,7 +14,7 @@ from suspension_twin.models.excitation import excitation
 from suspension_twin.models.hooks import ClockChange, Hook, RoadChange, SignalStage
 from suspension_twin.models.live import LiveTwin
 from suspension_twin.models.simulate import simulate_twin
-from suspension_twin.models.types import PlanarMotion
+from suspension_twin.models.types import PoseSample
 
 COLUMNS = ("t", "x", "y", "yaw", "speed", "lateral_speed", "yaw_rate", "ax", "ay")
 FIELDS = (
@@ -34,7 +34,7 @@ FIELDS = (
 
 def play(live: LiveTwin, way: Any) -> Any:
     rows = np.stack([getattr(way, c) for c in COLUMNS], axis=1)
-    return [live.step(t, PlanarMotion(*row)) for t, *row in rows.tolist()]
+    return [live.step(t, PoseSample(*row)) for t, *row in rows.tolist()]
 
 
 @pytest.mark.parametrize(("rate", "jitter"), [(100, 0.0), (100, 0.6), (1000, 0.5), (50, 0.2)])
@@ -81,7 +81,7 @@ def test_unusable_input_is_reported_and_changes_nothing(
     live = LiveTwin(mondeo, rough)
     rows = np.stack([getattr(way, c) for c in COLUMNS], axis=1).tolist()
     for k, (t, *row) in enumerate(rows):
-        motion = PlanarMotion(*row)
+        motion = PoseSample(*row)
         state = live.step(t, motion)
         assert state.heave == clean[k].heave
         assert live.step(t, motion).event == "stamp repeated"
@@ -89,7 +89,7 @@ def test_unusable_input_is_reported_and_changes_nothing(
         assert bad.event == "input is not finite"
         assert np.isfinite(bad.force).all()
     with pytest.raises(InputError, match="no usable one before"):
-        LiveTwin(mondeo, flat).step(float("nan"), PlanarMotion(*[float("nan")] * 8))
+        LiveTwin(mondeo, flat).step(float("nan"), PoseSample(*[float("nan")] * 8))
 
 
 def test_a_hole_in_the_road_is_held_over_and_said(mondeo: Any, drive: Any, ground: Any) -> None:

@@ -12,7 +12,7 @@ import pytest
 from suspension_twin.errors import InputError
 from suspension_twin.models.live import LiveState, live_twin
 from suspension_twin.models.tracked import LiveTracked, obstacle_height, simulate_tracked
-from suspension_twin.models.types import PlanarMotion
+from suspension_twin.models.types import PoseSample
 from suspension_twin.vehicle.tracked import TrackedTwin
 from suspension_twin.vehicle.twin import EffectSpec, load_twin
 
@@ -39,7 +39,7 @@ def twin(repository: Path) -> TrackedTwin:
 
 def drive(live: LiveTracked, x: np.ndarray, speed: float, t0: float = 100.0, ax: float = 0.0) -> list:
     return [
-        live.step(t0 + 0.01 * k, PlanarMotion(float(p), 0.0, 0.0, speed, 0.0, 0.0, ax, 0.0))
+        live.step(t0 + 0.01 * k, PoseSample(float(p), 0.0, 0.0, speed, 0.0, 0.0, ax, 0.0))
         for k, p in enumerate(x)
     ]
 
@@ -67,7 +67,7 @@ def test_the_sensor_feels_what_the_hull_does(twin: TrackedTwin) -> None:
     speed = 13 / 3.6
     dt = 0.0025
     states = [
-        live.step(dt * k, PlanarMotion(k * dt * speed - 8.0, 0.0, 0.0, speed, 0.0, 0.0, 0.0, 0.0))
+        live.step(dt * k, PoseSample(k * dt * speed - 8.0, 0.0, 0.0, speed, 0.0, 0.0, 0.0, 0.0))
         for k in range(700)
     ]
     at = np.array([2.13, 1.14])
@@ -102,7 +102,7 @@ def test_it_reverses_where_it_came_from(twin: TrackedTwin) -> None:
     there = drive(live, forwards, speed)
     drive(live, np.full(150, forwards[-1]), 0.0, t0=300.0 - 0.2)
     back = [
-        live.step(301.3 + 0.01 * k, PlanarMotion(float(p), 0, 0, -speed, 0, 0, 0, 0))
+        live.step(301.3 + 0.01 * k, PoseSample(float(p), 0, 0, -speed, 0, 0, 0, 0))
         for k, p in enumerate(forwards[::-1])
     ]
     assert not any(s.event for s in back[1:])
@@ -112,13 +112,13 @@ def test_it_reverses_where_it_came_from(twin: TrackedTwin) -> None:
 def test_what_messages_may_hold(twin: TrackedTwin) -> None:
     live = live_twin(twin, Ground(twin, end=-20.0))
     with pytest.raises(InputError, match="no usable one"):
-        live.step(0.0, PlanarMotion(math.nan, 0, 0, 0, 0, 0, 0, 0))
-    first = live.step(1.0, PlanarMotion(-40.0, 0, 0, 0, 0, 0, 0, 0))
+        live.step(0.0, PoseSample(math.nan, 0, 0, 0, 0, 0, 0, 0))
+    first = live.step(1.0, PoseSample(-40.0, 0, 0, 0, 0, 0, 0, 0))
     assert first.event == "start" and first.z == pytest.approx(5.0, abs=0.02)
-    assert live.step(1.0, PlanarMotion(-40.0, 0, 0, 0, 0, 0, 0, 0)).event == "stamp repeated"
-    assert "finite" in live.step(1.1, PlanarMotion(math.inf, 0, 0, 0, 0, 0, 0, 0)).event
-    assert "gap of 4.00 s" in live.step(5.0, PlanarMotion(-40.0, 0, 0, 0, 0, 0, 0, 0)).event
-    assert "went back" in live.step(4.0, PlanarMotion(-40.0, 0, 0, 0, 0, 0, 0, 0)).event
+    assert live.step(1.0, PoseSample(-40.0, 0, 0, 0, 0, 0, 0, 0)).event == "stamp repeated"
+    assert "finite" in live.step(1.1, PoseSample(math.inf, 0, 0, 0, 0, 0, 0, 0)).event
+    assert "gap of 4.00 s" in live.step(5.0, PoseSample(-40.0, 0, 0, 0, 0, 0, 0, 0)).event
+    assert "went back" in live.step(4.0, PoseSample(-40.0, 0, 0, 0, 0, 0, 0, 0)).event
     states = drive(live, np.arange(-40.0, -15.0, 0.1), 10.0, t0=10.0)
     assert any("no height" in s.event for s in states)
     assert all(np.isfinite([s.z, s.pitch, *s.force]).all() for s in states)

@@ -16,8 +16,8 @@ from rclpy.action import ActionClient
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from stand_ins import breaks, cannot, deaf, dies, five_generations, repeats_its_job, search_until_stopped
 
+from suspension_twin.live.gap import calibration_gap
 from suspension_twin.nodes.calibrator import CalibratorNode
-from suspension_twin.nodes.live_gap import calibration_gap
 from suspension_twin.vehicle.twin import load_twin
 from suspension_twin_interfaces.action import Calibrate
 
@@ -232,6 +232,4 @@ def test_a_real_calibration_writes_a_twin_file_that_loads(bench, goal):
     found = dict(zip(result.names, result.values, strict=True))
     assert found["vehicle.front.damper_pull.force.0"] == twin.vehicle.front.damper_pull.force[0]
     assert any(f.stage == "search" and f.generation >= 1 for f in client.feedback)
-    assert (
-        calibration_gap({"gap.floor": 0.0, "twin": result.output}).rms > 0.0
-    )  # which the live gap is held against
+    assert calibration_gap(0.0, result.output).rms > 0.0  # which the live gap is held against

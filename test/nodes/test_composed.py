@@ -124,9 +124,10 @@ def test_alone_and_over_the_wire_the_nodes_say_the_same(composed, bench, twin_pa
         bench.spin(min(player.play(), 0.01))
     assert outer["measured"] == inner["measured"]
     assert [s for s, _ in outer["twin"]] == [s for s, _ in inner["twin"]]
-    # A fix may come before or after the sample it belongs to, which moves the pose by millimetres.
+    # A fix may come before or after the sample it belongs to, which moves the pose by millimetres; an odometry has no
+    # acceleration, whose part below 0.4 Hz is differentiated.
     difference = np.array([a - b for (_, a), (_, b) in zip(outer["twin"], inner["twin"], strict=True)])
-    assert np.std(difference) < 0.02 * np.std([v for _, v in inner["twin"]])
+    assert np.std(difference) < 0.03 * np.std([v for _, v in inner["twin"]])
 
 
 def test_a_looped_bag_resets_the_nodes_and_says_the_same_again(composed, drive):

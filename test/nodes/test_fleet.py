@@ -16,8 +16,7 @@ from std_srvs.srv import Trigger
 from suspension_twin.addons.cli.live_fleet import rows, summary
 from suspension_twin.cli.main import main
 from suspension_twin.errors import InputError
-from suspension_twin.nodes.composed import Composed, Condition, Playback
-from suspension_twin.nodes.fleet import Helpers, TwinFleet
+from suspension_twin.nodes.composed import Composed, Condition, Helpers, Playback, TwinFleet
 from suspension_twin.nodes.topics import STREAM_QOS
 
 SAMPLES = 600  # of the drive, 6 s: standing, then driving off over the waves

@@ -186,7 +186,7 @@ def test_whatever_goes_wrong_inside_the_node_lives_and_says_so(bench, twin_path,
         raise ZeroDivisionError("inside")
 
     with monkeypatch.context() as patched:
-        patched.setattr(node._ingest, "push", broken)
+        patched.setattr(node.twin.ingest, "push", broken)
         feed(node, [T0 + k / 100.0 for k in range(3)])
     level, text = worst(node)
     assert level == 2 and "ZeroDivisionError: inside (3 times)" in text
@@ -222,6 +222,21 @@ def test_diagnostics_come_once_a_second_with_the_rate(bench, twin_path):
     assert heard[-1].status[0].hardware_id == "suspension_twin"
 
 
+def test_the_message_of_the_vertical_acceleration_holds_all_axes(bench, twin_path):
+    """From which a model in a process of its own has its planar acceleration."""
+    node = bench.make(ImuIngestNode, twin=str(twin_path))
+    rows = []
+    node.outputs["imu/vertical_acceleration"].links.append(
+        lambda m: rows.append((m.accel.linear.x, m.accel.linear.z, m.accel.angular.y))
+    )
+    for k in range(400):
+        swing = math.sin(2 * math.pi * k / 50.0)
+        node.inputs["imu/data_raw"].deliver(imu(T0 + k / 100.0, (swing, 0.0, 9.81), (0.0, 0.01 * swing, 0.0)))
+    ahead, up, pitching = np.array(rows)[100:].T
+    assert np.std(ahead) == pytest.approx(math.sqrt(0.5), rel=0.15) and np.std(up) < 0.02
+    assert np.std(pitching) == pytest.approx(0.01 * 4 * math.pi * math.sqrt(0.5), rel=0.05)
+
+
 def test_settings_change_at_once(bench, twin_path):
     node = bench.make(ImuIngestNode, twin=str(twin_path))
     _, vertical = taps(node)
@@ -247,7 +262,7 @@ def test_simulated_time_that_goes_back_starts_afresh_once(bench, twin_path):
     feed(node, [T0 + k / 100.0 for k in range(300)])
     clock(T0)
     bench.until(lambda: node.health.count("resets after a jump back in time") == 1)
-    assert node._ingest.rate is None
+    assert node.twin.ingest.rate is None
     feed(node, [T0 + k / 100.0 for k in range(10)])
     clock(T0 + 3.0)
     feed(node, [T0 + 3.0 + k / 100.0 for k in range(10)])

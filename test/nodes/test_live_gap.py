@@ -13,9 +13,9 @@ from nodes_bench import put_stamp, worst
 from visualization_msgs.msg import Marker
 
 from suspension_twin.errors import InputError
-from suspension_twin.inference.sliding_window import GapNow
-from suspension_twin.nodes.live_gap import CalibrationGap, GapTiles, calibration_gap, colour, gap_warning
+from suspension_twin.live.gap import CalibrationGap, GapNow, GapTiles, calibration_gap, gap_warning
 from suspension_twin.nodes.suspension_model import SuspensionModelNode
+from suspension_twin.nodes.twin_outputs import colour
 from suspension_twin.vehicle.twin import load_twin, save_twin
 
 T0 = 1.7e9
@@ -141,9 +141,9 @@ def test_without_a_calibration_there_is_nothing_to_warn_of_and_a_parameter_can_s
 def test_details_that_say_nothing_are_named(flat_twin, text):
     flat_twin.with_name("twin.calibration.yaml").write_text(text)
     with pytest.raises(InputError, match=r"twin\.calibration\.yaml: drives: has no residual"):
-        calibration_gap({"gap.floor": 0.0, "twin": str(flat_twin)})
+        calibration_gap(0.0, str(flat_twin))
 
 
 def test_no_details_no_floor(tmp_path):
     for twin in ("", str(tmp_path / "twin.yaml")):
-        assert calibration_gap({"gap.floor": 0.0, "twin": twin}) == CalibrationGap(0.0, 0.0)
+        assert calibration_gap(0.0, twin) == CalibrationGap(0.0, 0.0)

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from suspension_twin.pose import ekf
-from suspension_twin.pose.rts import smooth
-from suspension_twin.pose.settings import PoseSettings
+from suspension_twin.pose.ekf import smooth
+from suspension_twin.pose.types import PoseSettings
 
 NOISE = PoseSettings().noise()
 GATE, HUBER = NOISE[ekf.GATE], NOISE[ekf.HUBER]

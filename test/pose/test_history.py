@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from suspension_twin.pose import ekf
-from suspension_twin.pose.blend import Blend
 from suspension_twin.pose.history import History, Measurement
-from suspension_twin.pose.settings import PoseSettings
+from suspension_twin.pose.lock import Blend
+from suspension_twin.pose.types import PoseSettings
 
 NOISE = PoseSettings().noise()
 FASTEST = 1600.0  # Hz of an IMU

@@ -13,11 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from suspension_twin.pose.lock import PlanarState, PoseLock
-from suspension_twin.pose.settings import PoseSettings
+from suspension_twin.pose.types import PoseSettings
 from suspension_twin.signals.attitude import rpy_matrix
 from suspension_twin.signals.clock import MAX_STAMP
+from suspension_twin.signals.imu import ImuSettings
 from suspension_twin.signals.ingest import ImuIngest
-from suspension_twin.signals.settings import ImuSettings
 from suspension_twin.vehicle.twin import Datum
 
 Maker = Callable[..., object]
@@ -74,7 +74,7 @@ def off(
     """What is off against the truth, sample by sample, of the valid states between two times."""
     truth, start = scene.truth, scene.truth.t[0]
     kept = [s for s in states if s.valid and since <= s.t - start <= until]
-    at = np.array([s[:9] for s in kept]).T
+    at = np.array([(*s[:4], *s.motion) for s in kept]).T
     k = np.searchsorted(truth.t, at[0] - 1e-6)
     dx, dy = at[1] - truth.x[k], at[2] - truth.y[k]
     c, s = np.cos(truth.yaw[k]), np.sin(truth.yaw[k])
@@ -185,7 +185,7 @@ def test_close_and_without_steps_whether_fixes_come_at_once_or_late(
     assert lock.latency == pytest.approx(delay, abs=0.012)
     assert lock.counts["refused"] == 0
     # From sample to sample the pose moves as speed and yaw say: a fix makes no step.
-    rows = np.array([s[:6] for s in states if s.valid])
+    rows = np.array([(*s[:4], *s.motion[:2]) for s in states if s.valid])
     step = np.hypot(np.diff(rows[:, 1]), np.diff(rows[:, 2])) - np.abs(rows[1:, 4]) * np.diff(rows[:, 0])
     assert np.abs(step[1:]).max() < 0.004
     assert np.abs(np.diff(rows[:, 3]) / np.diff(rows[:, 0])).max() < 0.6
@@ -209,7 +209,7 @@ def test_phone_grade_gps_stays_smooth(make_scene: Maker, away: Away) -> None:
     states = feed(make_lock(scene), scene, delay=0.2)
     error = off(states, scene, since=12.0)
     assert rms(np.hypot(error["along"], error["across"])) < 3.0
-    rows = np.array([s[:6] for s in states if s.valid])
+    rows = np.array([(*s[:4], *s.motion[:2]) for s in states if s.valid])
     step = np.hypot(np.diff(rows[:, 1]), np.diff(rows[:, 2])) - np.abs(rows[1:, 4]) * np.diff(rows[:, 0])
     assert np.abs(step[1:]).max() < 0.01
 
@@ -270,7 +270,9 @@ def test_a_sensor_that_is_known_to_be_turned_says_what_an_upright_one_says(make_
     scene = replace(scene, drive=replace(scene.drive, imu=own))
     turned = feed(PoseLock(UNDELAYED, scene.gps, scene.datum, scene.imu, rpy), scene)
     unknown = feed(make_lock(scene), scene)
-    assert np.allclose([s[:9] for s in turned], [s[:9] for s in upright], rtol=0, atol=1e-6)
+    assert np.allclose(
+        [(*s[:4], *s.motion) for s in turned], [(*s[:4], *s.motion) for s in upright], rtol=0, atol=1e-6
+    )
     assert rms(off(unknown, scene, 8.0)["ax"]) > 2.0 * rms(off(turned, scene, 8.0)["ax"])
 
 
@@ -285,7 +287,9 @@ def test_a_sensor_that_is_known_to_read_too_much_says_what_a_sound_one_says(make
     scene = replace(scene, drive=replace(scene.drive, imu=loud))
     known = feed(PoseLock(UNDELAYED, scene.gps, scene.datum, scene.imu, imu_gain=1.3), scene)
     unknown = feed(make_lock(scene), scene)
-    assert np.allclose([s[:9] for s in known], [s[:9] for s in sound], rtol=0, atol=1e-6)
+    assert np.allclose(
+        [(*s[:4], *s.motion) for s in known], [(*s[:4], *s.motion) for s in sound], rtol=0, atol=1e-6
+    )
     assert rms(off(unknown, scene, 8.0)["speed"]) > 2.0 * rms(off(known, scene, 8.0)["speed"])
 
 
@@ -299,8 +303,8 @@ def test_standing_the_yaw_does_not_wander(make_scene: Maker) -> None:
     assert lock.standing
     waits = [s for s in states if s.t - scene.truth.t[0] > 17]
     assert np.ptp([s.yaw for s in waits]) < 1e-3
-    assert max(abs(s.speed) for s in waits) < 0.01
-    assert all(s.yaw_rate == 0.0 for s in waits)
+    assert max(abs(s.motion.speed) for s in waits) < 0.01
+    assert all(s.motion.yaw_rate == 0.0 for s in waits)
     assert np.hypot(np.ptp([s.x for s in waits]), np.ptp([s.y for s in waits])) < 0.04
     assert rms(off(states, scene, since=65.0)["yaw"]) < 0.01
 
@@ -330,7 +334,7 @@ def test_a_true_jump_is_followed_within_two_seconds(make_scene: Maker, away: Awa
     after = [s for s in states if s.t - truth.t[0] > 24]
     k = np.searchsorted(truth.t, [s.t - 1e-6 for s in after])
     assert np.mean([s.y for s in after] - truth.y[k]) == pytest.approx(0.5, abs=0.03)
-    rows = np.array([s[:6] for s in states if s.valid])
+    rows = np.array([(*s[:4], *s.motion[:2]) for s in states if s.valid])
     step = np.hypot(np.diff(rows[:, 1]), np.diff(rows[:, 2])) - np.abs(rows[1:, 4]) * np.diff(rows[:, 0])
     assert np.abs(step[1:]).max() < 0.01  # bled in, at half a metre per second at most
 
@@ -380,7 +384,7 @@ def test_reversing_out_is_seen_by_the_pull(make_scene: Maker) -> None:
     error = off(states, scene)
     assert np.abs(error["yaw"]).max() < 0.15
     assert rms(off(states, scene, since=15.0)["yaw"]) < 0.01
-    assert min(s.speed for s in states) == pytest.approx(-2.5, abs=0.1)
+    assert min(s.motion.speed for s in states) == pytest.approx(-2.5, abs=0.1)
     assert lock.counts["turned_round"] == 0
 
 

@@ -18,9 +18,9 @@ from suspension_twin.pose.lock import PlanarState, PoseLock
 from suspension_twin.pose.smoothed import locked_trajectory
 from suspension_twin.pose.types import Trajectory
 from suspension_twin.signals.filters import FilterSpec, zero_phase
+from suspension_twin.signals.imu import ImuSettings
 from suspension_twin.signals.ingest import ImuIngest
 from suspension_twin.signals.offline import ImuSignals, ingest_drive
-from suspension_twin.signals.settings import ImuSettings
 from suspension_twin.vehicle.twin import Datum, Place, load_twin
 
 
@@ -73,7 +73,7 @@ def test_rtk_drive_as_documented(rtk: tuple) -> None:
     assert path.valid.mean() > 0.99
     assert np.sum(np.hypot(np.diff(path.x), np.diff(path.y))) == pytest.approx(4050.0, rel=2e-3)
     assert path.speed.max() == pytest.approx(16.3, abs=0.1)
-    rows = np.array([s[:9] for s in states])
+    rows = np.array([(*s[:4], *s.motion) for s in states])
     assert rows[:, 4].max() == pytest.approx(16.3, abs=0.2)
     assert np.sum(np.hypot(np.diff(rows[:, 1]), np.diff(rows[:, 2]))) == pytest.approx(4050.0, rel=5e-3)
 
@@ -139,7 +139,7 @@ def test_a_lock_that_starts_in_the_middle_of_the_rtk_drive(rtk: tuple, velocitie
                 (drive.velocity.t > start) & (drive.velocity.t < start + 15.0 * velocities)
             ),
         )
-        rows = np.array([s[:5] for s in live(part, imu, gps, datum) if s.t > start + 4.0])
+        rows = np.array([(*s[:4], s.motion.speed) for s in live(part, imu, gps, datum) if s.t > start + 4.0])
         x, y = (np.interp(rows[:, 0], path.t, values) for values in (path.x, path.y))
         worst.append(np.hypot(rows[:, 1] - x, rows[:, 2] - y).max())
     assert len(worst) > 12
@@ -166,7 +166,9 @@ def test_the_rtk_drive_with_a_phone_s_receiver(rtk: tuple) -> None:
         sigma=np.full((len(fix), 3), np.nan),
     )
     velocity = replace(velocity, enu=velocity.enu + random.normal(0.0, 0.3, velocity.enu.shape))
-    rows = np.array([s[:5] for s in live(replace(drive, fix=fix, velocity=velocity), imu, gps, datum)])
+    rows = np.array(
+        [(*s[:4], s.motion.speed) for s in live(replace(drive, fix=fix, velocity=velocity), imu, gps, datum)]
+    )
     x, y, speed = (np.interp(rows[:, 0], path.t, values) for values in (path.x, path.y, path.speed))
     place = np.hypot(rows[:, 1] - x, rows[:, 2] - y)
     assert np.sqrt(np.mean(place**2)) < 1.6 and place.max() < 6.0
@@ -190,7 +192,7 @@ def test_comma2k19_speed_against_the_wheels(shared_data: Path, repository: Path)
     t, wheels = np.load(log / "CAN" / "speed" / "t") + shift, np.load(log / "CAN" / "speed" / "value").ravel()
     inside = (t > path.t[0] + 1) & (t < path.t[-1] - 1)
     t, wheels = t[inside], wheels[inside]
-    rows = np.array([s[:5] for s in live(drive, imu, gps, datum)])
+    rows = np.array([(*s[:4], s.motion.speed) for s in live(drive, imu, gps, datum)])
     for at, speed in ((path.t, path.speed), (rows[:, 0], rows[:, 4])):
         seen = t > at[0] + 2.0
         off = np.interp(t[seen], at, speed) - wheels[seen]

@@ -12,9 +12,8 @@ import pytest
 
 from suspension_twin.drive.types import Drive, FixData, VelocityData
 from suspension_twin.errors import InputError
-from suspension_twin.pose.settings import PoseSettings
 from suspension_twin.pose.smoothed import locked_trajectory
-from suspension_twin.pose.types import Trajectory
+from suspension_twin.pose.types import PoseSettings, Trajectory
 from suspension_twin.signals.offline import ingest_drive
 
 Maker = Callable[..., object]
@@ -25,7 +24,7 @@ def lock(scene: object, drive: Drive | None = None, settings: PoseSettings | Non
     """The trajectory at the IMU's own stamps."""
     drive = drive or scene.drive
     signals = ingest_drive(drive, scene.imu)
-    return locked_trajectory(drive, signals, scene.gps, scene.datum, signals.t, settings)
+    return locked_trajectory(drive, signals, scene.gps, scene.datum, signals.t, settings=settings)
 
 
 def errors(found: Trajectory, truth: Trajectory, part: slice | np.ndarray = slice(None)) -> dict[str, float]:

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from suspension_twin.pose.settings import PoseSettings
 from suspension_twin.pose.smoothed import locked_trajectory
+from suspension_twin.pose.types import PoseSettings
 from suspension_twin.signals.offline import ImuSignals, ingest_drive
 
 
@@ -45,7 +45,9 @@ def test_valid_is_what_lies_between_fixes_and_half_as_far_beyond(
     latitude[wrong] += 300.0 / 111_200.0
     used = s[np.setdiff1d(kept, [wrong])]
     drive = replace(scene.drive, fix=replace(fix, latitude=latitude).select(kept))
-    found = locked_trajectory(drive, signals, scene.gps, scene.datum, signals.t, PoseSettings(outage=outage))
+    found = locked_trajectory(
+        drive, signals, scene.gps, scene.datum, signals.t, settings=PoseSettings(outage=outage)
+    )
     t = signals.t - start
     wanted = np.zeros(t.size, dtype=bool)
     for a, b in zip(used[:-1], used[1:], strict=True):

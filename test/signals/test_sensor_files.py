@@ -9,9 +9,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from suspension_twin.pose.settings import PoseSettings
-from suspension_twin.signals.settings import ImuSettings
-from suspension_twin.signals.standstill import StillLimits
+from suspension_twin.pose.types import PoseSettings
+from suspension_twin.signals.imu import ImuSettings, StillLimits
 
 FOLDER = Path(__file__).resolve().parents[2] / "config" / "sensors"
 

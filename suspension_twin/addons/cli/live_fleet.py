@@ -42,8 +42,7 @@ def run_fleet(given: FleetSettings, display: DisplaySettings, ros: RosSettings) 
     wanted = ros.wanted()
     from suspension_twin.addons.fleet.manifest import read_manifest
     from suspension_twin.addons.fleet.twins import fleet_twins
-    from suspension_twin.nodes.composed import check_namespace
-    from suspension_twin.nodes.fleet import Helpers, TwinFleet
+    from suspension_twin.nodes.composed import Helpers, TwinFleet, check_namespace
     from suspension_twin.nodes.parameters import check_names
     from suspension_twin.nodes.process import ros_context, stopping
 

@@ -26,8 +26,7 @@ from suspension_twin.road.road import Road
 from suspension_twin.road.roughness import profile_events
 from suspension_twin.signals.attitude import level_rpy, rpy_matrix
 from suspension_twin.signals.checks import Finding, check_mounting
-from suspension_twin.signals.settings import ImuSettings
-from suspension_twin.signals.standstill import standstill_mask, white_noise
+from suspension_twin.signals.imu import ImuSettings, standstill_mask, white_noise
 from suspension_twin.units import STANDARD_GRAVITY
 from suspension_twin.vehicle.twin import Datum, Twin
 

@@ -4,21 +4,28 @@
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from suspension_twin.arrays import Floats
+from suspension_twin.calibration.output import details_path
 from suspension_twin.errors import InputError
+from suspension_twin.files import read_yaml, reading
 
-__all__ = ["GapNow", "RunningGap"]
+__all__ = ["CalibrationGap", "GapNow", "GapTile", "GapTiles", "RunningGap", "calibration_gap", "gap_warning"]
 
 #: Speed in m/s below which a vehicle counts as standing, and seconds of it before noise is learnt.
 STANDING_SPEED = 0.1
 STANDING_TIME = 1.0
 #: Rows that the ring grows by.
 _GROW = 1024
+#: Edge of a tile in m and the number of tiles kept: the last two kilometres; samples from which a tile is shown.
+TILE_EDGE, _MOST_TILES, _FEWEST = 1.0, 2000, 3
 
 
 @dataclass(frozen=True)
@@ -164,3 +171,87 @@ class RunningGap:
         frequency = np.arange(power.size) * ((n - 1) / (float(t[-1] - t[0]) * n))
         at = np.searchsorted(frequency, self.edges)
         return tuple(float(np.sqrt(power[a:b].sum())) for a, b in zip(at, at[1:], strict=False))
+
+
+class CalibrationGap(NamedTuple):
+    """The residual of a calibration on its worst drive: rms in m/s², and as a ``share`` of the measured rms, which
+    scales it to a rougher road. Both 0 where not known."""
+
+    rms: float
+    share: float
+
+
+def calibration_gap(given: float, twin_file: str) -> CalibrationGap:
+    """The residual of the calibration: ``given`` in m/s², or where that is 0 from the details beside the twin file.
+
+    Raises InputError for details that cannot be read.
+    """
+    if given or not twin_file:
+        return CalibrationGap(given, 0.0)
+    with reading(twin_file, "a twin file"):
+        details = details_path(Path(twin_file))
+        if not details.is_file():
+            return CalibrationGap(given, 0.0)
+    try:
+        drives = read_yaml(details)["drives"]
+        # The live gap includes clock, gain and tilt errors: the larger of the two values is to be expected.
+        residuals = [
+            max(d["gap_after"]["rms"], d["residual_with_nuisances_corrected"] or 0.0) for d in drives
+        ]
+        shares = [math.sqrt(1.0 - min(abs(d["correlation"] or 1.0), 1.0) ** 2) for d in drives]
+    except (InputError, ValueError, KeyError, TypeError):
+        raise InputError(details, "drives", "has no residual of the calibration") from None
+    finite = filter(math.isfinite, residuals)
+    return CalibrationGap(max(finite, default=0.0), max(shares, default=0.0))
+
+
+def gap_warning(gap: GapNow | None, expected: CalibrationGap, ratio: float) -> str:
+    """The warning of a gap of more than ``ratio`` times the residual of the calibration, scaled to the roughness of
+    the present road; empty if there is nothing to warn of."""
+    if gap is None or not expected.rms:
+        return ""
+    residual = max(expected.rms, expected.share * gap.measured_rms)
+    if gap.rms <= ratio * residual:
+        return ""
+    return (
+        f"the gap is {gap.rms:.3g} m/s², {gap.rms / residual:.1f} times the residual of the calibration "
+        f"({residual:.3g} m/s²): run a diagnosis"
+    )
+
+
+class GapTile(NamedTuple):
+    """Its centre in ``map`` in m and the rms gap in m/s² of the newest pass over it."""
+
+    x: float
+    y: float
+    z: float
+    rms: float
+
+
+class GapTiles:
+    """Collects the gap sample by sample on a grid of ``map``; a new pass over a tile replaces the old one."""
+
+    def __init__(self) -> None:
+        self.tiles: OrderedDict[tuple[int, int], GapTile] = OrderedDict()
+        self.reset()
+
+    def reset(self) -> None:
+        """Discard everything."""
+        self.tiles.clear()
+        self._under: tuple[int, int] | None = None
+        self._count, self._squares = 0, 0.0
+
+    def push(self, x: float, y: float, z: float, difference: float) -> None:
+        """One sample: the position in m, measured minus simulated in m/s²."""
+        under = math.floor(x / TILE_EDGE), math.floor(y / TILE_EDGE)
+        if under != self._under:
+            self._under, self._count, self._squares = under, 0, 0.0
+        self._count += 1
+        self._squares += difference * difference
+        if self._count < _FEWEST:
+            return
+        centre = (under[0] + 0.5) * TILE_EDGE, (under[1] + 0.5) * TILE_EDGE
+        self.tiles[under] = GapTile(*centre, z, math.sqrt(self._squares / self._count))
+        self.tiles.move_to_end(under)
+        if len(self.tiles) > _MOST_TILES:
+            self.tiles.popitem(last=False)

@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from suspension_twin.errors import InputError
-from suspension_twin.signals.filters import CausalLowPass, FilterSpec
-from suspension_twin.signals.live import LiveLowPass
+from suspension_twin.signals.filters import CausalLowPass, FilterSpec, LiveLowPass
 
 T0 = 1.7e9
 SPEC = FilterSpec(3, 12.0)

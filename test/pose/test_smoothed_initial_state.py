@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from suspension_twin.errors import InputError
 from suspension_twin.pose import ekf
-from suspension_twin.pose.initial_state import REVERSE_SPEED, REVERSE_TIME, first_state
-from suspension_twin.pose.nodes import Measurements
+from suspension_twin.pose.smoothed import Measurements, first_state
+from suspension_twin.pose.types import REVERSE_SPEED, REVERSE_TIME
 
 T0 = 1.7e9
 ARM = (0.8, -0.4)  # the antenna ahead and to the left of base_link

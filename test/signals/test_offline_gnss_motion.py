@@ -11,16 +11,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from suspension_twin.drive.types import Drive, FixData, ImuData, VelocityData
-from suspension_twin.signals.ground import NO_FIX, Ground, ground_motion
+from suspension_twin.signals.offline import NO_FIX, GnssMotion, gnss_motion
 
 T0 = 1.7e9
 PLACE = (1.9, -0.6, 1.1)
 METRES = 111_200.0  # of a degree
 
 
-def ground(s: np.ndarray, speed: np.ndarray, course: np.ndarray | float = 0.0, noise: float = 0.0) -> Ground:
+def ground(
+    s: np.ndarray, speed: np.ndarray, course: np.ndarray | float = 0.0, noise: float = 0.0
+) -> GnssMotion:
     """Velocities at ``s`` from T0."""
-    return Ground(T0 + s, speed * np.cos(course), speed * np.sin(course), noise)
+    return GnssMotion(T0 + s, speed * np.cos(course), speed * np.sin(course), noise)
 
 
 def drive(fix: FixData | None = None, velocity: VelocityData | None = None) -> Drive:
@@ -141,15 +143,15 @@ def test_velocities_are_taken_as_they_are() -> None:
     enu = np.column_stack([np.arange(8.0), -np.arange(8.0), np.full(8, np.nan)])
     enu[5, 1] = np.nan
     fix = some_fixes(np.arange(0.0, 5.0), np.arange(5.0), np.zeros(5))
-    found = ground_motion(drive(fix, VelocityData(T0 + s, enu)))
+    found = gnss_motion(drive(fix, VelocityData(T0 + s, enu)))
     assert found.t == pytest.approx(T0 + np.array([0.0, 0.2, 0.4, 0.8, 1.0]))
     assert found.east == pytest.approx([0.0, 1.0, 3.0, 6.0, 7.0])
     assert found.north == pytest.approx([0.0, -1.0, -3.0, -6.0, -7.0])
     assert found.noise == 0.0
     # of three there is not enough to go by: the fixes have it
-    few = ground_motion(drive(fix, VelocityData(T0 + s[[0, 1, 3]], enu[[0, 1, 3]])))
+    few = gnss_motion(drive(fix, VelocityData(T0 + s[[0, 1, 3]], enu[[0, 1, 3]])))
     assert few.east == pytest.approx(1.0)
-    four = ground_motion(drive(fix, VelocityData(T0 + s[[0, 1, 3, 7]], enu[[0, 1, 3, 7]])))
+    four = gnss_motion(drive(fix, VelocityData(T0 + s[[0, 1, 3, 7]], enu[[0, 1, 3, 7]])))
     assert four.east == pytest.approx([0.0, 1.0, 3.0, 7.0])
 
 
@@ -165,7 +167,7 @@ def some_fixes(s: np.ndarray, east: np.ndarray, north: np.ndarray, sigma: float 
 def test_between_fixes_lies_the_velocity(sigma: float, apart: float) -> None:
     """As far apart as their noise demands for 0.1 m/s, and within a second; the stamps half way."""
     s = np.arange(0.0, 10.0, 0.2)
-    found = ground_motion(drive(some_fixes(s, 3.0 * s + 0.2 * s**2, -2.0 * s, sigma)))
+    found = gnss_motion(drive(some_fixes(s, 3.0 * s + 0.2 * s**2, -2.0 * s, sigma)))
     ends = np.minimum(s + apart, s[-1])[:-1]
     assert found.t - T0 == pytest.approx(0.5 * (s[:-1] + ends), abs=1e-6)
     assert found.north == pytest.approx(-2.0, rel=1e-5)
@@ -184,12 +186,12 @@ def test_useless_fixes_are_left_out() -> None:
     spoilt["sigma"][:4] = np.nan
     fix = FixData(altitude=good.altitude, **spoilt)
     again = np.concatenate([np.arange(10), [3, 3]])
-    found = ground_motion(drive(fix.select(again)))
+    found = gnss_motion(drive(fix.select(again)))
     assert found.t - T0 == pytest.approx([0.5, 2.0, 4.5, 7.0, 8.5], abs=1e-6)
     assert found.east == pytest.approx(4.0, rel=1e-5)
     assert found.north == pytest.approx(0.0, abs=1e-6)
-    none = ground_motion(drive(fix.select(np.arange(4))))
+    none = gnss_motion(drive(fix.select(np.arange(4))))
     assert not none.known
     assert none.t.size == none.east.size == none.north.size == 0
-    assert not ground_motion(drive()).known
-    assert ground_motion(drive(good.select(np.arange(4)))).t.size == 3
+    assert not gnss_motion(drive()).known
+    assert gnss_motion(drive(good.select(np.arange(4)))).t.size == 3

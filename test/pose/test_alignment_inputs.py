@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from suspension_twin.pose import ekf
-from suspension_twin.pose.live import GRAVITY, UP_TIME, LiveInputs
-from suspension_twin.pose.smoothed import SWAY_SIGMA
-from suspension_twin.signals.standstill import STANDSTILL_FILTER_DELAY, StillLimits
+from suspension_twin.pose.alignment import GRAVITY, UP_TIME, LiveInputs
+from suspension_twin.pose.types import SWAY_SIGMA
+from suspension_twin.signals.imu import STANDSTILL_FILTER_DELAY, StillLimits
 from suspension_twin.vehicle.twin import Place
 
 UP = np.array([0.0, 0.0, GRAVITY])
@@ -32,7 +32,7 @@ def run(
     rate = np.zeros((t.size, 3)) if rate is None else rate
     rows, stands = np.zeros((t.size, 11)), np.zeros(t.size, dtype=bool)
     for k in range(t.size):
-        live.row(float(t[k]), force[k].tolist(), rate[k].tolist(), speed, 0.0, known, rows[k])
+        live.row(float(t[k]), force[k].tolist(), rate[k].tolist(), (speed, 0.0) if known else None, rows[k])
         stands[k] = live.standing
     return rows, stands
 
@@ -158,16 +158,16 @@ def test_the_yaw_rate_is_the_mean_over_the_interval_and_the_raw_one_about_the_ve
 def test_a_gap_starts_over_and_a_long_one_finds_the_vertical_anew() -> None:
     live = LiveInputs(Place(), Place(position=(0.0, 0.0, 2.0)))
     out = np.zeros(11)
-    assert live.row(0.0, UP, (0.0, 0.0, 0.1), 0.0, 0.0, False, out)
+    assert live.row(0.0, UP, (0.0, 0.0, 0.1), None, out)
     assert out[ekf.GYRO_LOOSENESS] > 1.0
     assert out[ekf.YAW_RATE] == pytest.approx(0.1)
-    assert not live.row(0.01, UP, (0.0, 0.0, 0.1), 0.0, 0.0, False, out)
+    assert not live.row(0.01, UP, (0.0, 0.0, 0.1), None, out)
     assert out[ekf.GYRO_LOOSENESS] == 1.0
     for pause, found in ((0.2, False), (0.5, False), (3.0, True)):
         live = parked(Place(position=(0.0, 0.0, 2.0)))
         lean = 0.3
         force = GRAVITY * np.array([-math.sin(lean), 0.0, math.cos(lean)])
-        gap = live.row(pause - 0.01, force, (0.0, 0.0, 0.2), 0.0, 0.0, False, out)
+        gap = live.row(pause - 0.01, force, (0.0, 0.0, 0.2), None, out)
         assert gap == (pause > 0.25)
         # nose down by so much, the antenna is as much ahead as it is high times that
         assert (out[ekf.ANTENNA_X] > 0.9 * 2.0 * math.sin(lean)) == found
@@ -183,15 +183,15 @@ def test_the_first_sample_gives_the_vertical_whatever_its_length(lean: tuple[flo
     for gravity in (0.8 * GRAVITY, GRAVITY):
         out = np.zeros(11)
         live = LiveInputs(Place(), Place(position=(0.0, 0.0, 1.0)))
-        live.row(0.0, gravity * up, (0.0, 0.0, 0.0), 0.0, 0.0, False, out)
+        live.row(0.0, gravity * up, (0.0, 0.0, 0.0), None, out)
         # all of the vertical arm leans with it, on level ground ahead and to the right
         reach = math.hypot(out[4], out[5])
         assert reach == pytest.approx(math.sqrt(1.0 - up[2] ** 2), abs=1e-9)
         assert out[10] == 0.0
     # in free fall there is none to be had: it is taken to be level
-    live.row(10.0, (0.0, 0.0, 0.5), (0.0, 0.0, 0.0), 0.0, 0.0, False, out)
+    live.row(10.0, (0.0, 0.0, 0.5), (0.0, 0.0, 0.0), None, out)
     fresh = LiveInputs(Place(), Place(position=(0.0, 0.0, 1.0)))
-    fresh.row(0.0, (0.5, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0, False, out)
+    fresh.row(0.0, (0.5, 0.0, 0.0), (0.0, 0.0, 0.0), None, out)
     assert out[4:6] == pytest.approx([0.0, 0.0])
 
 
@@ -200,9 +200,9 @@ def test_the_accelerometer_corrects_the_vertical_with_its_time_constant() -> Non
     live = LiveInputs(Place(), Place())
     out = np.zeros(11)
     lean = 0.02
-    live.row(0.0, GRAVITY * np.array([math.sin(lean), 0.0, math.cos(lean)]), (0.0,) * 3, 5.0, 0.0, True, out)
+    live.row(0.0, GRAVITY * np.array([math.sin(lean), 0.0, math.cos(lean)]), (0.0,) * 3, (5.0, 0.0), out)
     for t in np.arange(0.01, UP_TIME, 0.01):
-        live.row(float(t), UP, (0.0, 0.0, 0.0), 5.0, 0.0, True, out)
+        live.row(float(t), UP, (0.0, 0.0, 0.0), (5.0, 0.0), out)
     assert -out[ekf.FORWARD_FORCE] / GRAVITY == pytest.approx(lean * math.exp(-1.0), rel=0.15)
 
 
@@ -384,7 +384,7 @@ def test_a_little_pull_back_is_not_enough_to_reverse() -> None:
 def shown(live: LiveInputs, place: Place) -> float:
     """The share of the sway that counts in the next rows: a body that pitches at 1 rad/s."""
     out = np.zeros(11)
-    live.row(0.0, UP, (0.0, 1.0, 0.0), 0.0, 0.0, False, out)
+    live.row(0.0, UP, (0.0, 1.0, 0.0), None, out)
     return float(out[ekf.ANTENNA_VX]) / place.position[2]
 
 

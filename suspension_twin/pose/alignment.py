@@ -1,26 +1,157 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The live filter's inputs: planar signals of each sample, standstill, and the first yaw."""
+"""Alignment of the live filter: the vertical, standstill, the first yaw, and the planar inputs of each sample."""
 
 from __future__ import annotations
 
 import math
 from collections import deque
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
-from suspension_twin.pose.ekf import ANTENNA_X, ANTENNA_Y, FORWARD_FORCE, LATERAL_SPEED, SPEED, YAW
-from suspension_twin.pose.inputs import planar_row
-from suspension_twin.pose.level import LEVEL_PULL, MOVING_PULL, MovingLevel
-from suspension_twin.pose.nodes import SLOPE_TIME
-from suspension_twin.pose.smoothed import SWAY_SIGMA
+from suspension_twin.pose.ekf import (
+    ANTENNA_X,
+    ANTENNA_Y,
+    FORWARD_FORCE,
+    LATERAL_SPEED,
+    SPEED,
+    YAW,
+    planar_row,
+)
+from suspension_twin.pose.types import SLOPE_TIME, SWAY_SIGMA
 from suspension_twin.signals.attitude import up_step
-from suspension_twin.signals.standstill import MAX_TILT_DIFFERENCE, StillLimits, standstill_filter_step
+from suspension_twin.signals.imu import (
+    MAX_TILT_DIFFERENCE,
+    StillLimits,
+    standstill_filter_step,
+)
 from suspension_twin.vehicle.twin import Place
 
-__all__ = ["LEVEL_WALK", "LiveInputs"]
+__all__ = [
+    "LEVEL_PULL",
+    "LEVEL_WALK",
+    "MOVING_PULL",
+    "MOVING_WALK",
+    "LiveInputs",
+    "MovingLevel",
+]
+
+#: m/s²: what braking and bends add to gravity where the specific force of a moving vehicle is taken for the vertical,
+#: and what an alignment leaves of it (0.02 rad). Priors, by hand: ordinary driving; the bias that was assumed before.
+MOVING_PULL, LEVEL_PULL = 3.0, 0.2
+#: (m/s²)²/s by which that wanders in body axes: a vertical that is off stays behind while the vehicle turns, here by
+#: 0.4 rad/s.
+MOVING_WALK = (0.4 * MOVING_PULL) ** 2
+#: s that an alignment takes: bumps average out, and the gyro's bias does not show yet; and its velocities at least.
+#: Tolerances, by hand.
+_SHORTEST, _LONGEST = 1.0, 20.0
+_FEWEST = 4
+_STEP = 0.005  # s between the stamps at which the integrals are kept (tolerance, by hand)
+_LENGTH = 0.2  # of gravity by which the result may miss it (tolerance, by hand)
+
+
+class MovingLevel:
+    """The vertical in body axes, from the specific force, the gyro and velocities over ground.
+
+    In the axes that the body had when it began, the integral of the specific force is the gain of velocity and
+    gravity's reaction: ``∫ R f dt = v(t) - v(0) + g up t``. A straight line through its difference from the measured
+    velocities has the slope ``g up``; the residuals give the standard deviation of the velocities.
+
+    Parameters
+    ----------
+    arm : (3,) array
+        From the IMU to the antenna in body axes, m.
+    """
+
+    def __init__(self, arm: Floats) -> None:
+        self._arm = arm
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget everything."""
+        self._turn = np.eye(3)  # from body axes to those when it began
+        self._pull = np.zeros(3)  # integral of the IMU's specific force in these, m/s
+        self._kept: deque[tuple[float, Floats, Floats]] = deque()
+        self._seen: deque[_Velocity] = deque()
+
+    def add(self, t: float, sample: Floats, dt: float) -> None:
+        """A sample (6,), specific force m/s² and angular rate rad/s in body axes, ``dt`` s after the last."""
+        self._turn = self._turn @ Rotation.from_rotvec(sample[3:] * dt).as_matrix()
+        self._pull = self._pull + self._turn @ sample[:3] * dt
+        if not self._kept or t - self._kept[-1][0] >= _STEP:
+            # turning, the antenna moves against the IMU
+            swing = self._turn @ np.cross(sample[3:], self._arm)
+            self._kept.append((t, self._pull + swing, self._turn))
+            while t - self._kept[0][0] > _LONGEST:
+                self._kept.popleft()
+
+    def velocity(self, t: float, east: float, north: float, sigma: float, gravity: float) -> Floats | None:
+        """A velocity in m/s, ``sigma`` m/s its standard deviation at least. Up (3,) in the body
+        axes of the newest sample once it is known, else None. Velocities come in the order of their stamps."""
+        here = self._at(t)
+        if here is None or (self._seen and t <= self._seen[-1].t):
+            return None
+        self._seen.append(_Velocity(t, east, north, sigma, *here))
+        while t - self._seen[0].t > _LONGEST:
+            self._seen.popleft()
+        if len(self._seen) < _FEWEST or t - self._seen[0].t < _SHORTEST:
+            return None
+        level, spread = _line(self._seen)
+        length = float(np.linalg.norm(level))
+        if spread > 0.5 * LEVEL_PULL or not abs(length / gravity - 1.0) < _LENGTH:
+            return None
+        found: Floats = self._turn.T @ level / length
+        return found
+
+    def _at(self, t: float) -> tuple[Floats, Floats] | None:
+        """The integral and the turn at ``t`` s, None before the first sample."""
+        if not self._kept or t < self._kept[0][0] - _STEP:
+            return None
+        after = next((k for k, kept in enumerate(self._kept) if kept[0] >= t), None)
+        if after is None or after == 0:
+            _, pull, turn = self._kept[-1 if after is None else 0]
+            return pull, turn
+        (t0, pull0, turn0), (t1, pull1, turn1) = self._kept[after - 1], self._kept[after]
+        share = (t - t0) / (t1 - t0)
+        return pull0 + share * (pull1 - pull0), turn0 if share < 0.5 else turn1
+
+
+class _Velocity(NamedTuple):
+    """A velocity over ground, m/s, with the integral (3,) and the turn (3, 3) of its time."""
+
+    t: float
+    east: float
+    north: float
+    sigma: float
+    pull: Floats
+    turn: Floats
+
+
+def _line(seen: Sequence[_Velocity]) -> tuple[Floats, float]:
+    """Slope (3,) of the line, m/s², and the standard deviation of its horizontal parts."""
+    t = np.array([v.t for v in seen])
+    over_ground = np.array([complex(v.east, v.north) for v in seen])
+    pull, nose = np.array([v.pull for v in seen]), np.array([v.turn[:, 0] for v in seen])
+    t = t - t.mean()
+    level = t @ pull / (t @ t)
+    for _ in range(3):  # where ahead and left lie depends on up a little
+        up = level / np.linalg.norm(level)
+        x = np.array([1.0, 0.0, 0.0]) - up[0] * up
+        x /= np.linalg.norm(x)
+        y = np.cross(up, x)
+        turned = nose @ x + 1j * (nose @ y)
+        yaw = np.sum(over_ground * turned.conj())
+        ahead = over_ground * (yaw.conj() / max(abs(yaw), 1e-9))  # in the axes when it began
+        rest = pull - np.outer(ahead.real, x) - np.outer(ahead.imag, y)
+        level = t @ rest / (t @ t)
+    off = (rest - rest.mean(axis=0) - np.outer(t, level)) @ np.array([x, y]).T
+    sigma = max(math.sqrt(np.sum(off**2) / (2 * len(seen) - 4)), *(v.sigma for v in seen))
+    return level, sigma / math.sqrt(t @ t)
+
 
 GRAVITY = 9.81  # imu/data is free of bias to a few mm/s²; what is left goes to the filter's bias
 #: s and rad between two fixes that a course is taken from, at most (tolerances, by hand: old enough that a receiver
@@ -117,13 +248,13 @@ class LiveInputs:
         t: float,
         force: Sequence[float],
         rate: Sequence[float],
-        speed: float,
-        acceleration: float,
-        known: bool,
+        own: tuple[float, float] | None,
         out: Floats,
     ) -> bool:
-        """Fill ``out`` (11,) for a sample; ``speed`` m/s and ``acceleration`` m/s² are the filter's where ``known``.
-        True after a gap."""
+        """Fill ``out`` (11,) for a sample; ``own`` are speed m/s and acceleration m/s² by the filter, None while it is
+        not aligned. True after a gap."""
+        speed, acceleration = own or (0.0, 0.0)
+        known = own is not None
         sample = np.array((*force, *rate), dtype=np.float64)
         dt = t - self._t
         gap = not dt < 0.25
@@ -186,9 +317,9 @@ class LiveInputs:
         )
         up = self._up.tolist()
         tilted = math.hypot(mean[0] / GRAVITY - up[0], mean[1] / GRAVITY - up[1]) >= MAX_TILT_DIFFERENCE
-        # A vertical that nothing has confirmed may be wrong: the velocity alone says that the vehicle stands.
-        heard = self._velocity is not None and t - self._velocity[0] <= 1.5
-        doubtful = tilted and heard and not self.levelled
+        # A vertical that nothing has confirmed may be wrong: then the velocity alone decides that the vehicle stands.
+        recent = self._velocity is not None and t - self._velocity[0] <= 1.5
+        doubtful = tilted and recent and not self.levelled
         quiet = quiet and (doubtful or not tilted) and (not known or abs(speed) < 0.3) and self._gps_slow(t)
         if not quiet:
             self._quiet_since = math.nan
@@ -302,7 +433,7 @@ class LiveInputs:
 
     def note_fix(self, t: float, east: float, north: float, sigma: float) -> None:
         """A fix in m. Where no velocities come, the newest earlier one that is far enough away gives the course, which
-        has turned on by half of what the gyro says since then, and how fast."""
+        has turned on by half of the gyro's angle since then, and the speed."""
         fixes = self._fixes
         if self._velocity is not None or (fixes and t <= fixes[-1][0]):
             return
@@ -357,7 +488,7 @@ class LiveInputs:
         return course, sigma_yaw, speed, sigma_speed
 
     def _heading_alone(self, yaw: float) -> tuple[float, float, float, float] | None:
-        """What a heading and fixes less than a course apart say of the speed: nothing before there are two."""
+        """Yaw by the heading, and the speed by fixes too close for a course; None before there are two."""
         if len(self._fixes) < 2:
             return None
         (t0, x0, y0, s0, _), (t1, x1, y1, s1, _) = self._fixes[0], self._fixes[-1]

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from suspension_twin.drive.types import Drive
 from suspension_twin.signals.filters import CausalLowPass, FilterSpec
+from suspension_twin.signals.imu import ImuSettings
 from suspension_twin.signals.ingest import ImuIngest, IngestOutput
-from suspension_twin.signals.settings import ImuSettings
 from suspension_twin.vehicle.twin import Place
 
 Maker = Callable[..., tuple[Drive, object]]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from suspension_twin.errors import InputError
-from suspension_twin.inference.sliding_window import RunningGap
+from suspension_twin.live.gap import RunningGap
 
 T0 = 1.7e9
 

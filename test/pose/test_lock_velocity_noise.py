@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from suspension_twin.pose import ekf
-from suspension_twin.pose.settings import VELOCITY_SHARE
-from suspension_twin.pose.velocity_noise import VelocityNoise
+from suspension_twin.pose.lock import VelocityNoise
+from suspension_twin.pose.types import VELOCITY_SHARE
 
 YAW = 0.7
 

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from suspension_twin.errors import InputError
-from suspension_twin.signals.filters import FilterSpec
+from suspension_twin.signals.filters import FilterSpec, LiveLowPass
 from suspension_twin.signals.ingest import ImuIngest, ImuSettings
-from suspension_twin.signals.live import LiveLowPass
 from suspension_twin.vehicle.twin import Place
 
 T0 = 1.7e9

@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, VelocityData
 from suspension_twin.errors import InputError
 from suspension_twin.pose import ekf
-from suspension_twin.pose.inputs import planar_inputs
+from suspension_twin.pose.ekf import planar_inputs
 from suspension_twin.pose.local_map import LocalMap
-from suspension_twin.pose.nodes import (
+from suspension_twin.pose.smoothed import (
     MAX_MEAN_SLOPE,
     Measurements,
     gather,
@@ -24,8 +24,8 @@ from suspension_twin.pose.nodes import (
     mean_tilt,
     planar_rows,
 )
-from suspension_twin.pose.settings import PoseSettings, fix_sigma
-from suspension_twin.signals.offline import ImuSignals
+from suspension_twin.pose.types import PoseSettings, fix_sigma
+from suspension_twin.signals.offline import ImuFacts, ImuSignals
 from suspension_twin.vehicle.twin import Datum, Place
 
 T0 = 1.7e9
@@ -116,27 +116,30 @@ def test_how_sure_a_fix_is() -> None:
 # -- the IMU's part ------------------------------------------------------------------------------
 
 
+NO_GAPS = np.empty((0, 2))
+
+
 def signals(
-    t: np.ndarray, force: np.ndarray, rate: np.ndarray, up: np.ndarray, rate_hz: float = 100.0, **more: Any
+    t: np.ndarray,
+    force: np.ndarray,
+    rate: np.ndarray,
+    up: np.ndarray,
+    rate_hz: float = 100.0,
+    gaps: np.ndarray = NO_GAPS,
+    place: Place = IMU,
+    **more: Any,
 ) -> ImuSignals:
     """Clean signals in base_link axes at IMU."""
     n = t.size
     given = {
         "t": T0 + t,
-        "keep": np.arange(n),
         "force": force,
         "rate": rate,
         "vertical_acceleration": force[:, 2] - G * up[:, 2],
         "up": up,
-        "force_bias": np.zeros(3),
-        "rate_bias": np.zeros(3),
-        "gravity": G,
-        "rate_hz": rate_hz,
         "standing": np.zeros(n, dtype=bool),
         "saturated": np.zeros(n, dtype=bool),
-        "gaps": np.empty((0, 2)),
-        "findings": [],
-        "place": IMU,
+        "facts": ImuFacts(place, G, rate_hz, np.zeros(3), np.zeros(3), gaps, []),
     }
     return ImuSignals(**{**given, **more})
 

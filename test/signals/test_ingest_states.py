@@ -14,9 +14,8 @@ from scipy.spatial.transform import Rotation
 from suspension_twin.drive.types import Drive
 from suspension_twin.signals.checks import FULL_SCALES
 from suspension_twin.signals.filters import CausalLowPass, FilterSpec
+from suspension_twin.signals.imu import ImuSettings, StillLimits
 from suspension_twin.signals.ingest import ImuIngest, IngestOutput
-from suspension_twin.signals.settings import ImuSettings
-from suspension_twin.signals.standstill import StillLimits
 from suspension_twin.units import STANDARD_GRAVITY
 from suspension_twin.vehicle.twin import Place
 
@@ -71,6 +70,23 @@ def test_the_first_output_has_the_past_of_all_samples_before(rpy: tuple[float, f
     vertical = raw[:, 2] - STANDARD_GRAVITY * up[:, 2]
     assert np.linalg.norm(up, axis=1) == pytest.approx(1.0)
     assert np.std(vertical) > 0.5
+
+
+def test_accelerations_go_through_the_low_pass_of_the_force() -> None:
+    """Linear: force less gravity along up; angular: the change of the filtered rate, none after a pause."""
+    s, force, rate = shaking(400)
+    s = np.where(np.arange(400) < 300, s, s + 3.0)
+    outs = [out for out in push(ImuIngest(ImuSettings(), Place()), s, force, rate) if out is not None]
+    t, turning = column(outs, "t"), column(outs, "rate")
+    pause = int(np.argmax(np.diff(t))) + 1
+    expected = np.diff(turning, axis=0) / np.diff(t)[:, None]
+    expected[pause - 1] = 0.0
+    np.testing.assert_allclose(column(outs, "angular_acceleration")[1:], expected, rtol=1e-6, atol=1e-6)
+    free = column(outs, "raw_force") - STANDARD_GRAVITY * column(outs, "up")
+    low_pass = CausalLowPass(ImuSettings().filter, 100.0, 3)
+    wanted, linear = low_pass.process(free[:pause]), column(outs, "acceleration")[:pause]
+    np.testing.assert_allclose(linear[50:], wanted[50:], rtol=0, atol=5e-3)
+    assert [out.vertical_acceleration for out in outs] == [out.acceleration[2] for out in outs]
 
 
 def test_up_is_where_the_body_has_it(make_drive: Maker) -> None:

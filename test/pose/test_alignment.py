@@ -12,10 +12,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from suspension_twin.pose import ekf
+from suspension_twin.pose.alignment import GRAVITY, LEVEL_PULL, MOVING_PULL, LiveInputs, MovingLevel
 from suspension_twin.pose.history import History
-from suspension_twin.pose.level import LEVEL_PULL, MOVING_PULL, MovingLevel
-from suspension_twin.pose.live import GRAVITY, LiveInputs
-from suspension_twin.pose.settings import PoseSettings
+from suspension_twin.pose.types import PoseSettings
 from suspension_twin.vehicle.twin import Place
 
 STEP = 0.01
@@ -187,13 +186,13 @@ def test_a_forgotten_bias_is_independent_of_all_else() -> None:
 def test_who_comes_to_rest_with_a_wrong_vertical_stands_and_sees_it() -> None:
     """The first sample is of a bend at 3 m/s², then the car stands and its receiver says so."""
     live, out = LiveInputs(Place(), Place(position=(0.0, 0.0, 1.5))), np.zeros(11)
-    live.row(0.0, (2.0, 3.0, GRAVITY), (0.0, 0.0, 0.0), 0.0, 0.0, False, out)
+    live.row(0.0, (2.0, 3.0, GRAVITY), (0.0, 0.0, 0.0), None, out)
     assert live.pull == MOVING_PULL and not live.levelled
     reached = math.nan
     for k in range(1, 600):
         if k % 10 == 0:
             live.note_velocity(k * STEP, 0.01, 0.0)
-        live.row(k * STEP, (0.0, 0.0, GRAVITY), (0.0, 0.0, 0.0), 0.0, 0.0, False, out)
+        live.row(k * STEP, (0.0, 0.0, GRAVITY), (0.0, 0.0, 0.0), None, out)
         if live.standing and math.isnan(reached):
             reached = k * STEP
             change = live.take_change()
@@ -206,7 +205,7 @@ def test_who_comes_to_rest_with_a_wrong_vertical_stands_and_sees_it() -> None:
 
 def test_without_a_velocity_a_force_off_the_vertical_is_still_a_pull() -> None:
     live, out = LiveInputs(Place(), Place()), np.zeros(11)
-    live.row(0.0, (2.0, 3.0, GRAVITY), (0.0, 0.0, 0.0), 0.0, 0.0, False, out)
+    live.row(0.0, (2.0, 3.0, GRAVITY), (0.0, 0.0, 0.0), None, out)
     for k in range(1, 500):
-        live.row(k * STEP, (0.0, 0.0, GRAVITY), (0.0, 0.0, 0.0), 0.0, 0.0, False, out)
+        live.row(k * STEP, (0.0, 0.0, GRAVITY), (0.0, 0.0, 0.0), None, out)
         assert not live.standing

@@ -8,8 +8,8 @@ import math
 import numpy as np
 import pytest
 
-from suspension_twin.pose.live import GRAVITY, LiveInputs
-from suspension_twin.pose.nodes import SLOPE_TIME
+from suspension_twin.pose.alignment import GRAVITY, LiveInputs
+from suspension_twin.pose.types import SLOPE_TIME
 from suspension_twin.vehicle.twin import Place
 
 
@@ -22,7 +22,7 @@ def test_what_turning_adds_beside_the_middle_is_no_tilt() -> None:
         pull, faster = 0.5 * moves, 0.2 * moves
         speed, turn = pull * t, faster * t
         force = (pull - turn**2 * x - faster * y, speed * turn + faster * x - turn**2 * y, GRAVITY)
-        live.row(float(t), force, (0.0, 0.0, turn), speed, pull, True, out)
+        live.row(float(t), force, (0.0, 0.0, turn), (speed, pull), out)
     assert out[0] == pytest.approx(turn, abs=0.01)
     assert out[1] == pytest.approx(pull, abs=0.02)
     assert out[4:6] == pytest.approx([1.0, 0.5], abs=3e-3)  # the antenna of a level car
@@ -40,7 +40,7 @@ def test_of_a_receiver_that_hides_the_sway_the_antenna_leans_with_the_slope_alon
         rate = 0.7 * math.cos(2.0 * math.pi * k * dt) if nodding else 0.1 if 1000 <= k < 1100 else 0.0
         pitch += rate * dt
         force = (-GRAVITY * math.sin(pitch), 0.0, GRAVITY * math.cos(pitch))
-        live.row(k * dt, force, (0.0, rate, 0.0), 0.0, 0.0, False, out)
+        live.row(k * dt, force, (0.0, rate, 0.0), None, out)
         if nodding:
             live.learn_sway(np.zeros(8), out, (0.0, 0.0, 0.05))
         seen[k] = float(out[4])
