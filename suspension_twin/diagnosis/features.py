@@ -19,7 +19,7 @@ from scipy.stats import chi2
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.case import Case
-from suspension_twin.diagnosis.decision import FORMAT, Row
+from suspension_twin.diagnosis.decision import FORMAT, Json
 from suspension_twin.diagnosis.evidence import Evidence, intervals
 from suspension_twin.diagnosis.fit import linearised_fit
 from suspension_twin.diagnosis.hypotheses import DECOYS, SETUP_CATEGORIES, Hypothesis, library
@@ -70,7 +70,7 @@ def evidence_of(case: Case, judged: Judged, seed: int) -> dict[str, Any]:
     return {"format": FORMAT, "seed": seed, "case": known.case_row(), "base": rows[0], "hypotheses": rows[1:]}
 
 
-def refined_row(case: Case, judged: Judged, one: Candidate, seed: int) -> Row:
+def refined_row(case: Case, judged: Judged, one: Candidate, seed: int) -> Json:
     """What the twin file with a hypothesis is shown by: its parameters with intervals, characteristics and shrinks."""
     known = _Known(case, judged, BlockBootstrap.of(judged.bench, judged.blocks, judged.noise, seed))
     row = known.row(one, True)
@@ -85,7 +85,7 @@ def add_intervals(case: Case, judged: Judged, rows: dict[str, Any]) -> None:
     side_by_side(lambda pair: _add_intervals(case, judged, *pair), wanted)
 
 
-def _add_intervals(case: Case, judged: Judged, one: Candidate, row: Row) -> None:
+def _add_intervals(case: Case, judged: Judged, one: Candidate, row: Json) -> None:
     # without a road blocks do not repeat: the discrepancy is independent from block to block
     temper = judged.temper if case.road else 1.0
     fit = linearised_fit(judged.bench, one.hypothesis, one.found.fit.x)
@@ -109,7 +109,7 @@ class _Known:
             draws.squares(r) for r in (judged.base.remaining.difference, judged.base.remaining.with_nuisances)
         ]
 
-    def case_row(self) -> Row:
+    def case_row(self) -> Json:
         """What was driven and how well it was measured."""
         bench, judged = self.judged.bench, self.judged
         problem = bench.problem
@@ -119,7 +119,7 @@ class _Known:
             if bench.active[d]
         ]
         seconds = sum(r.size / p.rate for p, r in parts)
-        row: Row = {
+        row: Json = {
             "kind": self.case.kind,
             "reference": judged.reference is not None,
             "level_on_reference": judged.reference,
@@ -143,16 +143,16 @@ class _Known:
             speeds = np.concatenate([np.abs(p.along[r]) for p, r in parts])
             low, high = np.quantile(speeds, [0.05, 0.95])
             row["speed"] = {"low": float(low), "high": float(high), "mean": float(speeds.mean())}
-        plain: Row = _plain(row)
+        plain: Json = _plain(row)
         return plain
 
-    def row(self, one: Candidate, detailed: bool) -> Row:
+    def row(self, one: Candidate, detailed: bool) -> Json:
         """The row of a hypothesis."""
         judged, found, is_base = self.judged, one.found, one is self.judged.base
         bench = judged.bench
         temper = judged.temper
         gains = found.score - judged.base.found.score
-        row: Row = {
+        row: Json = {
             "effects": list(one.effects),
             "decoy": one.decoy,
             "detailed": detailed,
@@ -188,7 +188,7 @@ class _Known:
             row["added_low"] = self._added(one)
         if is_base or detailed:
             row |= self._pattern(one.remaining)
-        plain: Row = _plain(row)
+        plain: Json = _plain(row)
         return plain
 
     def _added(self, one: Candidate) -> float:
@@ -226,7 +226,7 @@ class _Known:
         names = self.judged.bench.problem.channels
         return {names[c]: v for (c, side), v in found.level.items() if side == with_gap}
 
-    def _channels(self, remaining: RemainingResidual) -> Row:
+    def _channels(self, remaining: RemainingResidual) -> Json:
         """Gap before and after in each channel; ``shrink`` beyond recalibration with its interval.
 
         Channels that the excitation drives: with nuisance parameters at zero or as fitted, whichever shrinks more
@@ -237,7 +237,7 @@ class _Known:
         squares = [draws.squares(r) for r in both]
         beyond = [draws.shrinks(b, a) for b, a in zip(self.recalibrated, squares, strict=True)]
         written = draws.shrinks(self.given, squares[0], new_drive=True)
-        out: Row = {}
+        out: Json = {}
         for c, name in enumerate(self.judged.bench.problem.channels):
             way = int(beyond[1][c].interval[0] > beyond[0][c].interval[0]) if c in self.driven else 1
             out[name] = {
@@ -248,14 +248,14 @@ class _Known:
             }
         return out
 
-    def _parameters(self, one: Candidate) -> Row:
+    def _parameters(self, one: Candidate) -> Json:
         """Parameters by effect, with their prior; ``usual`` is the largest severity over the usual error of a twin
         file, of the smallest effect; ``signs`` the share of folds in which the main parameter keeps its sign."""
         bench, hypothesis = self.judged.bench, one.hypothesis
         p = bench.d + bench.q
         u, (low, high) = one.found.fit.x[p:], hypothesis.bounds()
         values = one.found.fit.effects(bench)
-        parameters: dict[str, dict[str, Row]] = {e: {} for e in hypothesis.effects}
+        parameters: dict[str, dict[str, Json]] = {e: {} for e in hypothesis.effects}
         for key, value in hypothesis.fixed:
             _, effect, name = key.split(".")
             parameters[effect][name] = {"value": float(value)}
@@ -270,7 +270,7 @@ class _Known:
                 "far": 0.0 if setup else abs(float(u[i])),
                 "bound": bool(two_sided and not low[i] + 1e-9 < u[i] < high[i] - 1e-9),
             }
-        row: Row = {
+        row: Json = {
             "parameters": parameters,
             "usual": usual_ratio(bench, hypothesis, parameters, self.judged.reference is not None),
         }
@@ -281,7 +281,7 @@ class _Known:
             row["signs"] = float(np.mean(np.sign(one.found.unknowns[p + main]) == np.sign(u[main])))
         return row
 
-    def _pattern(self, remaining: RemainingResidual) -> Row:
+    def _pattern(self, remaining: RemainingResidual) -> Json:
         """Patterns that model discrepancy does not have: a band, a tone, a place."""
         if not self.case.road:
             return {}
@@ -295,7 +295,7 @@ class _Known:
         }
 
 
-def clock_offsets(bench: Bench, found: Evidence, temper: float) -> Row:
+def clock_offsets(bench: Bench, found: Evidence, temper: float) -> Json:
     """Rms of the clock offsets of the drives in standard deviations of their prior, and the tail probability of all
     timing offsets by chance; empty where no clock is fitted."""
     nuisances = bench.problem.nuisances
@@ -312,7 +312,7 @@ def clock_offsets(bench: Bench, found: Evidence, temper: float) -> Row:
 
 
 def usual_ratio(
-    bench: Bench, hypothesis: Hypothesis, parameters: dict[str, dict[str, Row]], referenced: bool
+    bench: Bench, hypothesis: Hypothesis, parameters: dict[str, dict[str, Json]], referenced: bool
 ) -> float | None:
     """Largest severity over the usual error of a twin file, of the effect where that is smallest; None where no error
     is usual.
@@ -331,7 +331,7 @@ def usual_ratio(
     return float(min(ratios)) if ratios else None
 
 
-def _shrink_row(one: Shrink) -> Row:
+def _shrink_row(one: Shrink) -> Json:
     return {
         "before": one.before,
         "after": one.after,

@@ -24,6 +24,7 @@ from suspension_twin.diagnosis.decision import (
     answers_of,
     decide,
     learnt,
+    prior_means,
     usual_level,
 )
 from suspension_twin.errors import InputError
@@ -337,7 +338,7 @@ def test_more_evidence_makes_no_cause_less_probable(gain: float, more: float, re
 def test_weights_have_the_signs_that_physics_dictates_and_say_where_they_come_from() -> None:
     known = learnt()
     assert len(FEATURES) <= 40
-    for value, (name, sign) in zip(known.values, FEATURES.items(), strict=True):
+    for value, name, sign in zip(known.values, FEATURES, prior_means(), strict=True):
         assert sign == 0.0 or value * sign >= 0.0, name
     assert 0.0 < known.conformal < 0.5
     assert {"cases", "commit", "seeds", "evidence_sha256"} <= set(known.source)
@@ -462,9 +463,10 @@ def unknown(case: dict[str, Any]) -> dict[str, float]:
 
 
 def test_every_feature_speaks_for_or_against_an_answer() -> None:
-    assert {name for name, prior in FEATURES.items() if prior > 0.0} == FOR
-    assert {name for name, prior in FEATURES.items() if prior < 0.0} == AGAINST
-    assert {name for name, prior in FEATURES.items() if prior == 0.0} == {"unknown_blind"}
+    priors = dict(zip(FEATURES, prior_means(), strict=True))
+    assert {name for name, prior in priors.items() if prior > 0.0} == FOR
+    assert {name for name, prior in priors.items() if prior < 0.0} == AGAINST
+    assert {name for name, prior in priors.items() if prior == 0.0} == {"unknown_blind"}
 
 
 def test_weights_are_those_of_the_file_by_name() -> None:

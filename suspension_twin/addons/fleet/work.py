@@ -330,7 +330,7 @@ def _diagnosed(
     folder: Path,
     road: str,
 ) -> Record:
-    from suspension_twin.diagnosis.output import write
+    from suspension_twin.diagnosis.answer import write
     from suspension_twin.diagnosis.request import DiagnosisRequest
     from suspension_twin.diagnosis.run import diagnose
 
