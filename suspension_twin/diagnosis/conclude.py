@@ -22,16 +22,17 @@ from suspension_twin.diagnosis.features import add_intervals, evidence_of, refin
 from suspension_twin.diagnosis.fit import LONG, fitted, twin_of
 from suspension_twin.diagnosis.hypotheses import NUISANCE_COUNTERPART, library
 from suspension_twin.diagnosis.judge import Candidate, Judged, candidate
-from suspension_twin.diagnosis.local_road_error import (
+from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, DriveView
+from suspension_twin.diagnosis.shrink import RemainingResidual
+from suspension_twin.diagnosis.where import (
     concentrated_section,
+    localise,
     no_concentration,
     no_road_error,
     road_error_matches,
+    signature,
+    strongest_tone,
 )
-from suspension_twin.diagnosis.localisation import localise, signature
-from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, DriveView
-from suspension_twin.diagnosis.shrink import RemainingResidual
-from suspension_twin.diagnosis.tonal import strongest_tone
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.models.parameters import pack
 from suspension_twin.models.simulate import simulate_lanes, simulate_twin

@@ -24,7 +24,6 @@ from suspension_twin.diagnosis.evidence import Evidence, intervals
 from suspension_twin.diagnosis.fit import linearised_fit
 from suspension_twin.diagnosis.hypotheses import DECOYS, SETUP_CATEGORIES, Hypothesis, library
 from suspension_twin.diagnosis.judge import Candidate, Judged, tempered_gain
-from suspension_twin.diagnosis.local_road_error import concentrated_section
 from suspension_twin.diagnosis.search import LEAST_POWER
 from suspension_twin.diagnosis.shrink import (
     BlockBootstrap,
@@ -33,15 +32,13 @@ from suspension_twin.diagnosis.shrink import (
     gap_rows,
     relative_residual,
 )
-from suspension_twin.diagnosis.tonal import strongest_tone
-from suspension_twin.inference.noise import density
+from suspension_twin.diagnosis.where import concentrated_section, strongest_tone, unevenness
 from suspension_twin.inference.parallel import side_by_side
 
-__all__ = ["add_intervals", "clock_offsets", "evidence_of", "refined_row", "unevenness", "usual_ratio"]
+__all__ = ["add_intervals", "clock_offsets", "evidence_of", "refined_row", "usual_ratio"]
 
 #: Single effects, the best by evidence, whose remaining residual is looked at for tones and places.
 _DETAILED = 6
-_HALF_OCTAVES = 1.0 * 2.0 ** (0.5 * np.arange(9))  # Hz
 #: Share of the mean square of a channel from which on a tonal component is looked for.
 _TONE_SHARE = 0.1
 #: Change of clock and position errors over a drive, from +2 to -2 standard deviations: a slow drift of the GNSS
@@ -345,32 +342,6 @@ def _vehicle(bench: Bench, one: Candidate) -> dict[str, float]:
     """Fitted characteristics by the keys of the twin file."""
     values = bench.problem.space.from_slopes(one.found.fit.x[: bench.d])
     return {k: float(v) for k, v in zip(bench.problem.space.keys, values, strict=True)}
-
-
-def unevenness(bench: Bench, remaining: RemainingResidual, noise: dict[str, float]) -> float:
-    """Largest ratio of the residual share of a half octave to that of its neighbours, vertical acceleration.
-
-    The share of model discrepancy is smooth over frequency; a missing resonance or order exceeds its neighbours.
-    """
-    measured = bench.problem.measured
-    if "vertical_acceleration" not in measured.channels:
-        return 1.0
-    c = measured.channels.index("vertical_acceleration")
-    segments = [s for s, d in zip(measured.segments, measured.drives, strict=True) if bench.active[d]]
-    rest, motion = (
-        density(v[:, c], segments, measured.rate) for v in (remaining.difference, measured.values)
-    )
-    f = np.linspace(0.0, 0.5 * measured.rate, rest.size)
-    band = np.digitize(f, _HALF_OCTAVES)
-    white = 2.0 * noise["vertical_acceleration"] ** 2 / measured.rate / measured.independent
-    shares = []
-    for b in range(1, _HALF_OCTAVES.size):
-        own = band == b
-        # limited from below by the noise
-        shares.append(max(float(rest[own].mean()) - white, white) / float(motion[own].mean()))
-    level = 0.5 * np.log(shares)
-    others = [np.delete(level[max(b - 2, 0) : b + 3], min(b, 2)) for b in range(level.size)]
-    return float(np.exp(max(float(level[b] - np.median(o)) for b, o in enumerate(others))))
 
 
 def _apparent_drift(bench: Bench) -> float:

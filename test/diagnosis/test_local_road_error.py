@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from suspension_twin.diagnosis.local_road_error import (
+from suspension_twin.diagnosis.request import DiagnosisRequest
+from suspension_twin.diagnosis.run import diagnose
+from suspension_twin.diagnosis.shrink import RemainingResidual
+from suspension_twin.diagnosis.where import (
     RoadErrorMatch,
     concentrated_section,
     no_concentration,
     no_road_error,
 )
-from suspension_twin.diagnosis.request import DiagnosisRequest
-from suspension_twin.diagnosis.run import diagnose
-from suspension_twin.diagnosis.shrink import RemainingResidual
 from suspension_twin.report.diagnosis import diagnosis_page
 from suspension_twin.road import load_road, write_road
 

@@ -11,7 +11,7 @@ import pytest
 from scipy.signal import butter, lfilter, sosfilt
 
 from suspension_twin.diagnosis.shrink import RemainingResidual
-from suspension_twin.diagnosis.tonal import strongest_tone
+from suspension_twin.diagnosis.where import strongest_tone
 
 RATE = 100.0
 

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from one_channel import CHANNEL, RATE, bench
 from scipy.signal import lfilter
 
-from suspension_twin.diagnosis.localisation import _expected_density, _frequency
-from suspension_twin.diagnosis.operating import _corners, _points
+from suspension_twin.diagnosis.where import _bands, _corners, _expected_density, _operating_points
 
 
 def resonance(x: np.ndarray, hertz: float, damping: float) -> np.ndarray:
@@ -28,7 +27,7 @@ def test_a_resonance_is_located_within_a_sixth_of_an_octave(hertz: float, dampin
         0.3 * resonance(rng.standard_normal(n), hertz, damping) + 0.05 * rng.standard_normal(n)
         for n in (3000, 4500)
     ]
-    regions = _frequency(bench([3000, 4500], np.zeros((7500, 1))), drives, 0.01, np.zeros(129))
+    regions = _bands(drives, RATE, 0.01, np.zeros(129))
     assert regions == sorted(regions, key=lambda r: -r["share"])
     main = regions[0]
     assert main["share"] > 0.4 and main["low_hz"] < main["high_hz"]
@@ -41,12 +40,7 @@ def test_no_band_stands_out_of_a_gap_that_is_everywhere_alike() -> None:
     spectrum = np.fft.rfft(rng.standard_normal(12_000))
     f = np.fft.rfftfreq(12_000, 1 / RATE)
     pink = np.fft.irfft(spectrum / np.sqrt(np.maximum(f, 0.2)))
-    assert (
-        sum(
-            r["share"] for r in _frequency(bench([12_000], np.zeros((12_000, 1))), [pink], 0.0, np.zeros(129))
-        )
-        < 0.5
-    )
+    assert sum(r["share"] for r in _bands([pink], RATE, 0.0, np.zeros(129))) < 0.5
 
 
 def test_what_a_reference_shows_as_well_is_no_band_of_the_gap() -> None:
@@ -60,13 +54,13 @@ def test_what_a_reference_shows_as_well_is_no_band_of_the_gap() -> None:
     there = bench(n, np.concatenate(motion)[:, None], (True, True, False))
     there.problem.channels = (CHANNEL,)
     usual = _expected_density(there, np.concatenate(left)[:, None], 0)
-    band = _frequency(there, left[:2], 0.01, usual)[0]
+    band = _bands(left[:2], RATE, 0.01, usual)[0]
     assert band["low_hz"] < 11.0 < band["high_hz"]
     # without the reference the larger band is the answer
     alone = bench(n[:2], np.concatenate(motion[:2])[:, None])
     plain = _expected_density(alone, np.concatenate(left[:2])[:, None], 0)
     assert not plain.any()
-    band = _frequency(alone, left[:2], 0.01, plain)[0]
+    band = _bands(left[:2], RATE, 0.01, plain)[0]
     assert band["low_hz"] < 4.0 < band["high_hz"]
 
 
@@ -92,11 +86,11 @@ def test_an_operating_point_is_where_the_gap_is_and_nowhere_if_it_is_everywhere(
     velocity, travel = 0.2 * rng.standard_normal(6000), 0.02 * rng.standard_normal(6000)
     told = [("front damper velocity", velocity, "m/s"), ("front spring travel", travel, "m")]
     noise = rng.standard_normal(6000) ** 2
-    points = _points(told, noise + 8.0 * (velocity < -0.3), *stretches(6000))
+    points = _operating_points(told, noise + 8.0 * (velocity < -0.3), *stretches(6000))
     assert {p["quantity"] for p in points} == {"front damper velocity"}
     assert points[0]["low"] < -0.3 and points[0]["high"] < -0.15 and points[0]["share"] > 0.3
     wrong = [
-        _points(told, np.random.default_rng(s).standard_normal(6000) ** 2, *stretches(6000))
+        _operating_points(told, np.random.default_rng(s).standard_normal(6000) ** 2, *stretches(6000))
         for s in range(20)
     ]
     assert sum(map(bool, wrong)) <= 4
