@@ -479,8 +479,9 @@ _DOMAINS = {"distance": (120.0, 0.05, 0.3, 1.6), "time": (10.0, 0.01, 2.0, 20.0)
 _LEAST_COVERED = 0.7  # share of a segment that has to be covered by samples
 #: Bins (two per resolution) from a component to the end of its neighbourhood, and of the component itself.
 _NEAR, _SELF = 25, 3
-#: Prominence in the residual over that in the simulated signal: a component of a periodic road is in both.
-_OWN = 2.0
+#: Prominence in the residual over that in the simulated signal: a component of a periodic road is in both; share of
+#: the mean square of a channel from which on a component counts.
+_OWN, _TONE_SHARE = 2.0, 0.1
 
 
 @dataclass(frozen=True)
@@ -495,7 +496,9 @@ class Tone:
     share: float
 
 
-def strongest_tone(bench: Bench, remaining: RemainingResidual, least_share: float) -> Tone | None:
+def strongest_tone(
+    bench: Bench, remaining: RemainingResidual, least_share: float = _TONE_SHARE
+) -> Tone | None:
     """The most prominent tonal component on drives with the gap that has ``least_share`` of the mean square of a
     channel and that reference drives do not show; None without one."""
     problem, drive, found = bench.problem, drives_of(bench), []

@@ -30,7 +30,7 @@ from suspension_twin.diagnosis.decision import (
 from suspension_twin.errors import InputError
 
 PARAMETERS = {"strut_friction": ("front_force", "rear_force"), "payload": ("mass", "x", "y")}
-SIZE = {"value": 200.0, "z": 0.5, "far": 0.5, "bound": False}
+SIZE = {"value": 200.0, "far": 0.5, "bound": False}
 CHANNELS = ("vertical_acceleration", "pitch_rate")
 
 
@@ -44,7 +44,6 @@ def row(*effects: str, gain: float = 0.0, left: float = 1.0, decoy: bool = False
         "low": shrink - 0.05,
         "high": shrink + 0.05,
         "worst": shrink,
-        "fitted": True,
         "written": {"before": 0.5, "after": 0.4 * left, "shrink": 1 - 0.8 * left, "low": 0.0, "high": 0.9},
     }
     return {
@@ -53,8 +52,6 @@ def row(*effects: str, gain: float = 0.0, left: float = 1.0, decoy: bool = False
         "tempered_gain": gain,
         "gain": 10.0 * gain,
         "gain_fitted": 11.0 * gain,
-        "folds": 1.0 if gain > 0 else 0.5,
-        "signs": 1.0,
         "level": 0.4 * left,
         "level_fitted": 0.4 * left,
         "mean_squares": dict.fromkeys(CHANNELS, 8.0 * left**2 + 1.0),
@@ -62,9 +59,6 @@ def row(*effects: str, gain: float = 0.0, left: float = 1.0, decoy: bool = False
         "parameters": {e: {p: dict(SIZE) for p in PARAMETERS.get(e, ("size",))} for e in effects},
         "added_low": shrink - 0.05,
         "usual": None,
-        "where": ["strut"],
-        "resonance": False,
-        "undetectable": 0.0,
         "detectable": True,
         "tone": 0.0,
         "band": 1.0,

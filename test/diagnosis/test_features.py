@@ -11,7 +11,7 @@ import pytest
 from one_channel import CHANNEL, RATE, bench
 from scipy.signal import butter, sosfilt
 
-from suspension_twin.diagnosis import features
+from suspension_twin.diagnosis import features, where
 from suspension_twin.diagnosis.hypotheses import Hypothesis
 from suspension_twin.diagnosis.shrink import RemainingResidual
 
@@ -32,7 +32,7 @@ def test_a_share_of_the_motion_is_even_and_an_order_is_not(seed: int) -> None:
 
     def unevenness(measured: np.ndarray, rest: np.ndarray) -> float:
         residual = RemainingResidual(rest, rest)
-        return features.unevenness(bench([n], measured[:, None]), residual, {CHANNEL: 0.005})
+        return where.unevenness(bench([n], measured[:, None]), residual, {CHANNEL: 0.005})
 
     assert unevenness(motion, left) < 2.7
     assert unevenness(motion + order, loud) > 3.0
