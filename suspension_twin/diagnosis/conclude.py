@@ -17,11 +17,11 @@ from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.case import Case
 from suspension_twin.diagnosis.decision import Decision, decide
 from suspension_twin.diagnosis.evidence import evidence
-from suspension_twin.diagnosis.experiment import next_experiment
 from suspension_twin.diagnosis.features import add_intervals, evidence_of, refined_row
 from suspension_twin.diagnosis.fit import LONG, fitted, twin_of
 from suspension_twin.diagnosis.hypotheses import NUISANCE_COUNTERPART, library
 from suspension_twin.diagnosis.judge import Candidate, Judged, candidate
+from suspension_twin.diagnosis.plan import next_experiment
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, DriveView
 from suspension_twin.diagnosis.shrink import RemainingResidual
 from suspension_twin.diagnosis.where import (

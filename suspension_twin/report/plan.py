@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from suspension_twin.diagnosis import wording
-from suspension_twin.diagnosis.plan import APART, DETECTABLE, Pair, Plan, Shown
+from suspension_twin.diagnosis.plan import APART, DETECTABLE, Detectability, Pair, Plan
 from suspension_twin.report import style
 from suspension_twin.report.page import Cell, Lead, Mark, Page, Section, Table
 from suspension_twin.report.style import COLOURS
@@ -84,7 +84,7 @@ def plan_page(plan: Plan) -> Page:
     return page
 
 
-def size_text(shown: Shown, size: float | None) -> str:
+def size_text(shown: Detectability, size: float | None) -> str:
     """A size with its unit; ``never`` for None. A change from neutral has a sign, a value has none."""
     if size is None:
         return _NEVER
@@ -94,7 +94,7 @@ def size_text(shown: Shown, size: float | None) -> str:
     return text
 
 
-def _row(s: Shown) -> tuple[object, ...]:
+def _row(s: Detectability) -> tuple[object, ...]:
     mark: Mark = "bad" if s.size is None else "good" if _less(s) <= 0.0 else "warn"
     return (
         wording.capital(wording.effect_at(s.effect, s.place)),
@@ -105,15 +105,15 @@ def _row(s: Shown) -> tuple[object, ...]:
     )
 
 
-def _less(s: Shown) -> float:
+def _less(s: Detectability) -> float:
     """Decades by which the smallest size is more severe than a typical one."""
     assert s.size is not None
     return float(np.log10(s.size / s.typical)) * (1.0 if s.largest >= s.typical else -1.0)
 
 
-def _alike(shown: Sequence[Shown]) -> list[list[Shown]]:
+def _alike(shown: Sequence[Detectability]) -> list[list[Detectability]]:
     """Places of one effect at which it shows from about the same size on, the one that shows least first."""
-    groups: list[list[Shown]] = []
+    groups: list[list[Detectability]] = []
     for s in sorted(shown, key=lambda s: (s.effect, s.parameter, s.size is None, -(s.size or 0.0))):
         last = groups[-1][0] if groups else None
         same = last is not None and (last.effect, last.parameter) == (s.effect, s.parameter)
@@ -125,7 +125,7 @@ def _alike(shown: Sequence[Shown]) -> list[list[Shown]]:
     return groups
 
 
-def _places(group: Sequence[Shown]) -> str:
+def _places(group: Sequence[Detectability]) -> str:
     """Name of an effect with those of its places."""
     if len(group) >= len(WHEELS):
         return f"{wording.effect_name(group[0].effect)}, any wheel"
@@ -133,7 +133,7 @@ def _places(group: Sequence[Shown]) -> str:
     return wording.effect_name(group[0].effect) + (f", {wording.listed(names)}" if names[0] else "")
 
 
-def sizes_picture(shown: Sequence[Shown]) -> Figure:
+def sizes_picture(shown: Sequence[Detectability]) -> Figure:
     """Draw a row for every fault: the smallest size over the typical one; places of about one size share a row."""
     groups = sorted(
         _alike(shown), key=lambda g: (g[0].size is None, 0.0 if g[0].size is None else _less(g[0]))
