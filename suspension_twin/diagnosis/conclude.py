@@ -76,7 +76,7 @@ def conclude(request: DiagnosisRequest, case: Case, judged: Judged, seconds: flo
     document["seed"], document["message"] = request.seed, wording.message(document)
     main = judged.bench.problem.channels[0]
     closing = main if decision.row is None else leading_channel(decision.row)
-    views = _views(case, judged.bench, twin, recalibrated, closing)
+    views = _views(case, judged.bench, twin, closing)
     return DiagnosisResult(document, twin, views, seconds, case.warnings, rows)
 
 
@@ -180,35 +180,32 @@ def _resembles(decision: Decision) -> list[dict[str, Any]]:
     return sorted(like, key=lambda one: -float(str(one["probability"])))
 
 
-def _views(case: Case, bench: Bench, after: Twin, recalibrated: Twin, channel: str) -> tuple[DriveView, ...]:
-    """One channel of every drive with the gap, by the twin as given, recalibrated, and with the named effects."""
+def _views(case: Case, bench: Bench, after: Twin, channel: str) -> tuple[DriveView, ...]:
+    """One channel of every drive with the gap, by the twin as given and with the named effects."""
     views = []
     for i, (part, rows, active) in enumerate(
         zip(bench.problem.parts, bench.problem.rows, bench.active, strict=True)
     ):
         if not active:
             continue
-        before, middle, found = (
+        before, found = (
             _simulated(
                 part, twin, bench.excitation(i, [e.id for e in twin.effects]), channel, case.kind != "run"
             )
-            for twin in (case.twin, recalibrated, after)
+            for twin in (case.twin, after)
         )
         compared = np.zeros(part.t.size, dtype=bool)
         compared[rows] = True
-        measured = part.measured[channel]
         views.append(
             DriveView(
-                part.name,
-                part.t,
-                part.position,
-                part.rate,
-                measured,
-                before,
-                middle,
-                found,
-                compared,
-                channel,
+                name=part.name,
+                channel=channel,
+                rate=part.rate,
+                t=part.t,
+                position=part.position,
+                measured=part.measured[channel],
+                simulated={"before": before, "after": found},
+                compared=compared,
             )
         )
     return tuple(views)
