@@ -19,7 +19,6 @@ from suspension_twin.diagnosis.decision import Json
 from suspension_twin.diagnosis.request import DiagnosisResult, DriveView
 from suspension_twin.inference.gap import channel_unit
 from suspension_twin.report import plots
-from suspension_twin.report.car import from_above
 from suspension_twin.report.page import Cell, Html, Lead, Mark, Page, Row, Section, Table
 from suspension_twin.report.style import COLOURS
 from suspension_twin.vehicle.corners import CORNERS
@@ -244,7 +243,7 @@ def _car(result: DiagnosisResult) -> Figure | None:
     if wheels is None or wheels.shape != (len(CORNERS), 2) or not (shares or marked):
         return None
     x, y, _ = twin.imu.position
-    return from_above(wheels, shares, marked=marked, sensor=(x, y))
+    return plots.car_from_above(wheels, shares, marked=marked, sensor=(x, y))
 
 
 # -- causes ------------------------------------------------------------------------------------------
@@ -325,7 +324,10 @@ def _places(result: DiagnosisResult) -> Section:
     d, w = result.document, result.document["where"]
     starts = {v.name: float(v.t[0]) for v in result.drives}
     first = min(starts.values(), default=0.0)
-    times = [{**i, **{k: i[k] - starts.get(i["bag"], first) for k in ("start", "end")}} for i in w["time"]]
+    times = [
+        {**i, **{k: round(i[k] - starts.get(i["bag"], first), 2) for k in ("start", "end")}}
+        for i in w["time"]
+    ]
     tables = (
         (
             times,
@@ -364,10 +366,13 @@ def _channels(d: Json) -> Table:
 def _table(items: Sequence[Json], caption: str, columns: dict[str, str]) -> Table | None:
     """One kind of entry as a table, ``columns`` mapping headings to keys; None where there is none."""
 
-    def plain(value: object) -> object:
-        return wording.place_name(value) if isinstance(value, str) else round(float(str(value)), 2)
-
-    rows = [[plain(i[key]) for key in columns.values()] + [wording.percent(i["share"])] for i in items]
+    rows = [
+        [
+            *(wording.place_name(i[key]) if key == "name" else i[key] for key in columns.values()),
+            wording.percent(i["share"]),
+        ]
+        for i in items
+    ]
     return Table((*columns, "share"), rows, caption) if rows else None
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from suspension_twin.diagnosis.request import DiagnosisResult, DriveView
-from suspension_twin.report.car import from_above
+from suspension_twin.report import plots
 from suspension_twin.report.diagnosis import diagnosis_page
 from suspension_twin.vehicle.twin import RoadFile, load_twin
 
@@ -191,7 +191,7 @@ def test_effects_that_cannot_be_judged_are_listed_once(repository):
 
 def test_the_car_from_above_names_every_wheel_and_rings_the_faulty_one():
     wheels = np.array([[2.7, 0.8], [2.7, -0.8], [0.0, 0.8], [0.0, -0.8]])
-    axes = from_above(wheels, {"front_left": 0.5}, marked=["rear_right"], sensor=(1.0, 0.2)).axes[0]
+    axes = plots.car_from_above(wheels, {"front_left": 0.5}, marked=["rear_right"], sensor=(1.0, 0.2)).axes[0]
     texts = [t.get_text() for t in axes.texts]
     assert {"front left\n50 %", "front right", "rear left", "rear right", "sensor"} <= set(texts)
     rings = [line for line in axes.lines if line.get_marker() == "o"]
