@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.ndimage import uniform_filter1d
 
-from suspension_twin.arrays import Floats
+from suspension_twin.arrays import Floats, runs
 from suspension_twin.calibration.labels import parameter_label, parameter_unit
 from suspension_twin.calibration.request import CalibrationResult, CurveEstimate, DriveFit
 from suspension_twin.inference.gap import channel_unit
@@ -78,7 +78,8 @@ def calibration_page(result: CalibrationResult) -> Page:
         "Calibration", f"{result.twin.vehicle.name} on {drives}, preset {result.preset}, seed {result.seed}"
     )
     _cards(page, result)
-    page.add(Section("Result", _summary(result), _agreement_table(result), plots.agreement(_bars(result))))
+    gaps = {d.name: {"before": d.gap_before.rms, "simulated": d.gap_after.rms} for d in result.drives}
+    page.add(Section("Result", _summary(result), _agreement_table(result), plots.agreement(gaps)))
     for drive in result.drives:
         page.add(_drive_section(drive))
     if result.curves:
@@ -170,36 +171,37 @@ def _agreement_table(result: CalibrationResult) -> Table:
     return Table(columns, rows, f"{main.replace('_', ' ')}, on the compared samples")
 
 
-def _bars(result: CalibrationResult) -> dict[str, dict[str, float]]:
-    return {d.name: {"before": d.gap_before.rms, "simulated": d.gap_after.rms} for d in result.drives}
-
-
 def _drive_section(drive: DriveFit) -> Section:
-    channel, unit = drive.channel, channel_unit(drive.channel)
-    measured, before, after = (s[channel] for s in (drive.measured, drive.before, drive.after))
-    time = plots.in_time(
-        drive.t,
-        measured,
-        after,
-        before=before,
-        windows=_windows(drive),
-        origin=float(drive.t[0]),
-        names=_NAMES,
-    )
+    unit = channel_unit(drive.channel)
     text = (
         f"{drive.gap_after.seconds:.1f} s compared. With the nuisances corrected (clock, map, biases) the residual is "
         f"{drive.nuisance_free:.3g} {unit} on the compared samples; the sensor's noise floor is "
         f"{drive.gap_after.noise_rms:.3g} {unit}."
     )
-    figures = [(time, "The seconds with the strongest motion.")]
+    figures = [(_in_time(drive, drive.channel, plots.ACCELERATION), "The seconds with the strongest motion.")]
     if "pitch_rate" in drive.measured:
-        figures.append((_pitch(drive), "Pitch rate in the same seconds."))
+        figures.append(
+            (_in_time(drive, "pitch_rate", "pitch rate [rad/s]"), "Pitch rate in the same seconds.")
+        )
     figures += [
         (_spectra(drive), "Power spectral densities."),
         (_two_sided(drive), "Amplitude spectra as the car paper's Fig. 11 has them."),
         (_by_road(drive), "Residual by position along the road."),
     ]
     return Section(drive.name, text, *(f for f, _ in figures), captions=tuple(c for _, c in figures))
+
+
+def _in_time(drive: DriveFit, channel: str, label: str) -> Figure:
+    return plots.in_time(
+        drive.t,
+        drive.measured[channel],
+        drive.after[channel],
+        before=drive.before[channel],
+        windows=_windows(drive),
+        origin=float(drive.t[0]),
+        label=label,
+        names=_NAMES,
+    )
 
 
 def _windows(drive: DriveFit) -> list[plots.Window]:
@@ -216,46 +218,33 @@ def _windows(drive: DriveFit) -> list[plots.Window]:
     return [plots.Window(t - half, t + half) for t in sorted(found)]
 
 
-def _pitch(drive: DriveFit) -> Figure:
-    rows = (s["pitch_rate"] for s in (drive.measured, drive.after, drive.before))
-    measured, after, before = rows
-    return plots.in_time(
-        drive.t,
-        measured,
-        after,
-        before=before,
-        windows=_windows(drive),
-        origin=float(drive.t[0]),
-        label="pitch rate [rad/s]",
-        names=_NAMES,
+def _longest(drive: DriveFit) -> dict[str, Floats]:
+    """Measured, calibrated and started signal and residual over the longest run of compared samples."""
+    first, last = max(runs(drive.compared), key=lambda run: run[1] - run[0])
+    measured, simulated, before = (
+        s[drive.channel][first:last] for s in (drive.measured, drive.after, drive.before)
     )
-
-
-def _stacked(drive: DriveFit) -> Floats:
-    """(m, 4) measured, calibrated, started and residual over the longest compared stretch."""
-    rows = np.flatnonzero(drive.compared)
-    cuts = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
-    longest = max(cuts, key=len)
-    channel = drive.channel
-    a, b, c = (s[channel][longest] for s in (drive.measured, drive.after, drive.before))
-    return np.column_stack([a, b, c, a - b])
+    return {
+        "residual": measured - simulated,
+        "before": before,
+        "measured": measured,
+        "simulated": simulated,
+    }
 
 
 def _spectra(drive: DriveFit) -> Figure:
-    frequency, density = power_density(_stacked(drive), drive.rate, 4.0)
-    columns = dict(zip(("measured", "simulated", "before", "residual"), density.T, strict=True))
-    order = ("residual", "before", "measured", "simulated")
-    return plots.in_frequency(frequency, {role: columns[role] for role in order}, cutoff=20.0, names=_NAMES)
+    signals = _longest(drive)
+    frequency, density = power_density(np.column_stack(list(signals.values())), drive.rate, 4.0)
+    return plots.in_frequency(
+        frequency, dict(zip(signals, density.T, strict=True)), cutoff=20.0, names=_NAMES
+    )
 
 
 def _two_sided(drive: DriveFit) -> Figure:
-    stacked = _stacked(drive)
-    frequency, _ = power_spectrum(stacked[:, 0], drive.rate)
-    roles = ("measured", "simulated", "before")
+    signals = _longest(drive)
+    found = {r: power_spectrum(signals[r], drive.rate) for r in ("measured", "simulated", "before")}
     return plots.two_sided(
-        frequency,
-        {r: power_spectrum(stacked[:, i], drive.rate)[1] for i, r in enumerate(roles)},
-        names=_NAMES,
+        found["measured"][0], {r: amplitude for r, (_, amplitude) in found.items()}, names=_NAMES
     )
 
 
@@ -279,10 +268,15 @@ def _by_road(drive: DriveFit) -> Figure:
 
 
 def _characteristics_section(result: CalibrationResult) -> Section:
-    evidence = {axle: _evidence(result, axle) for axle in result.twin.axles}
     vehicles = {"before": result.start.vehicle, "simulated": result.twin.vehicle}
-    figure = characteristics(vehicles, evidence=evidence, from_rest=True)
-    whole = characteristics(vehicles, evidence=_whole_evidence(result))
+    travel, whole = (
+        characteristics(
+            vehicles,
+            evidence={axle: _evidence(result, axle, from_rest) for axle in result.twin.axles},
+            from_rest=from_rest,
+        )
+        for from_rest in (True, False)
+    )
     text = (
         "Bands hold the force with a probability of 90 %. The drives excited the shaded range; beyond it a "
         "characteristic is extrapolated from its neighbouring points by a prior of smooth slopes. A spring is drawn "
@@ -292,7 +286,7 @@ def _characteristics_section(result: CalibrationResult) -> Section:
     return Section(
         "Characteristics",
         text,
-        figure,
+        travel,
         whole,
         captions=(
             "Springs over the travel from standstill, dampers over the velocity.",
@@ -306,36 +300,28 @@ def _of_axle(result: CalibrationResult, axle: str) -> dict[str, CurveEstimate]:
     return {c.key.removeprefix(f"{own}."): c for c in result.curves if c.key.rpartition(".")[0] == own}
 
 
-def _evidence(result: CalibrationResult, axle: str) -> AxleEvidence:
+def _evidence(result: CalibrationResult, axle: str, from_rest: bool) -> AxleEvidence:
+    """Bands, excited ranges and unidentified points of an axle; of its spring over the travel from standstill, or over
+    the compression."""
     curves = _of_axle(result, axle)
-    spring = curves.get("spring")
-    seen = spring is not None and math.isfinite(spring.static)
+    spring, unidentified = curves.get("spring"), _unidentified(result, axle)
+    band, excited = _band(spring, 1.3), None
+    if spring is not None and math.isfinite(spring.span[0]):
+        excited = spring.span
+    if from_rest:
+        band = excited = None
+        if spring is not None and math.isfinite(spring.static):
+            band = Band(spring.rest_grid, spring.rest_low, spring.rest_high)
+            excited = (spring.span[0] - spring.static, spring.span[1] - spring.static)
+        unidentified = [(kind, x) for kind, x in unidentified if kind != "spring"]
     return AxleEvidence(
-        spring=Band(spring.rest_grid, spring.rest_low, spring.rest_high) if spring and seen else None,
+        spring=band,
         push=_band(curves.get("damper_push")),
         pull=_band(curves.get("damper_pull")),
-        compression=(spring.span[0] - spring.static, spring.span[1] - spring.static)
-        if spring and seen
-        else None,
+        compression=excited,
         velocity=_velocity(curves),
-        unexcited=[(kind, x) for kind, x in _unidentified(result, axle) if kind != "spring"],
+        unexcited=unidentified,
     )
-
-
-def _whole_evidence(result: CalibrationResult) -> dict[str, AxleEvidence]:
-    found = {}
-    for axle in result.twin.axles:
-        curves = _of_axle(result, axle)
-        spring = curves.get("spring")
-        found[axle] = AxleEvidence(
-            spring=_band(spring, 1.3),
-            push=_band(curves.get("damper_push")),
-            pull=_band(curves.get("damper_pull")),
-            compression=spring.span if spring and math.isfinite(spring.span[0]) else None,
-            velocity=_velocity(curves),
-            unexcited=_unidentified(result, axle),
-        )
-    return found
 
 
 def _band(curve: CurveEstimate | None, reach: float = math.inf) -> Band | None:

@@ -37,11 +37,11 @@ class Band:
 
 @dataclass(frozen=True)
 class AxleEvidence:
-    """What a drive identifies of one axle: bands, the ranges it excited and the points it did not.
+    """Evidence of a drive on one axle: bands, the ranges it excited and the points it did not.
 
     ``spring``, ``push`` and ``pull`` are bands (or None); ``compression`` m and ``velocity`` m/s
     the excited ranges (push positive, pull negative); ``unexcited`` the (kind, abscissa) of
-    points that the drive says nothing about, kind one of "spring", "push", "pull".
+    points that the drive does not identify, kind one of "spring", "push", "pull".
     """
 
     spring: Band | None = None
@@ -68,16 +68,14 @@ def characteristics(
     *,
     evidence: Mapping[str, AxleEvidence] | None = None,
     names: Mapping[str, str] | None = None,
-    compression: float | None = None,
-    velocity: float | None = None,
     from_rest: bool = False,
 ) -> Figure:
     """An axle beside the other, springs above and dampers below; forces of one wheel at the wheel.
 
     ``vehicles`` maps a role ("before", "simulated", "truth") to a vehicle; ``evidence`` maps
     the axles to what the drive identifies. Jounce (push) is drawn to the right and upwards,
-    rebound (pull) to the left and downwards. ``compression`` m and ``velocity`` m/s limit the
-    axes; by default they cover what the drive excited, else the vehicles' points.
+    rebound (pull) to the left and downwards. The axes cover the range that the drive excited, else
+    the vehicles' points.
 
     With ``from_rest`` springs are drawn over the travel from standstill instead of the compression
     from free length, and evidence is taken as such: that is what a drive can see. Where the free
@@ -85,8 +83,8 @@ def characteristics(
     """
     names = {"before": "before calibration", "simulated": "calibrated", "truth": "truth", **(names or {})}
     evidence = evidence or {}
-    reach_x = compression or _reach([e.compression for e in evidence.values()], vehicles, "spring")
-    reach_v = velocity or _reach([e.velocity for e in evidence.values()], vehicles, "damper")
+    reach_x = _reach([e.compression for e in evidence.values()], vehicles, "spring")
+    reach_v = _reach([e.velocity for e in evidence.values()], vehicles, "damper")
     with style.using():
         fig = style.figure(9.2, 6.2)
         axles = list(next(iter(vehicles.values())).axles)

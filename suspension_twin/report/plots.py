@@ -204,21 +204,20 @@ def residual_by_road(
     *,
     before: Floats | None = None,
     profile: tuple[Floats, Floats] | None = None,
-    bin_width: float = 1.0,
     label: str = "gap, rms [m/s²]",
     profile_label: str = "road [cm]",
     names: Mapping[str, str] | None = None,
 ) -> Figure:
-    """Root mean square of the residual (n,) in bins along the road, over ``distance`` (n,) m.
+    """Root mean square of the residual (n,) in each metre along the road, over ``distance`` (n,) m.
 
     ``profile`` is (distance (k,), height (k,) or (k, 2) for left and right wheel, m) of the road, drawn
     under the bars so that a pothole and its gap stand above each other. NaNs and bins that the drive
     never entered stay empty. ``names`` renames "residual" and "before" in the legend.
     """
     names = {"residual": "measured − simulated", "before": "before calibration", **(names or {})}
-    edges = np.arange(np.floor(np.nanmin(distance)), np.nanmax(distance) + bin_width, bin_width)
+    edges = np.arange(np.floor(np.nanmin(distance)), np.nanmax(distance) + 1.0)
     if edges.size < 2:
-        edges = np.array([edges[0], edges[0] + bin_width])
+        edges = np.array([edges[0], edges[0] + 1.0])
     with style.using():
         fig = style.figure(9.2, 4.0 if profile is not None else 3.0)
         rows = fig.subplots(
@@ -276,7 +275,6 @@ def convergence(
     *,
     mean: Floats | None = None,
     stages: Sequence[tuple[float, str]] = (),
-    reference: tuple[float, str] | None = None,
     label: str = "cost",
 ) -> Figure:
     """Best (and mean) cost over the count of simulated candidates; ``stages`` are (evaluation, name) marks."""
@@ -288,13 +286,6 @@ def convergence(
         axes.plot(
             evaluations, best, color=COLOURS["simulated"], linewidth=1.8, label="best", drawstyle="steps-post"
         )
-        if reference is not None:
-            axes.axhline(
-                reference[0],
-                label=reference[1],
-                color=COLOURS["truth"],
-                **{k: v for k, v in LINES["truth"].items() if k != "zorder"},
-            )
         for position, name in stages:
             axes.axvline(position, color=COLOURS["soft"], linewidth=0.8, linestyle=":")
             axes.annotate(
@@ -349,38 +340,28 @@ def path_map(
     y: Floats,
     *,
     outline: Floats | None = None,
-    heights: tuple[Floats, Floats, Floats] | None = None,
     fixes: Floats | None = None,
     value: Floats | None = None,
-    value_label: str = "speed [km/h]",
     turn: float = 0.0,
 ) -> Figure:
     """The locked path on the ``map`` frame, seen from above, east to the right and north up.
 
-    ``outline`` (k, 2) m is the border of the road file, ``heights`` its (X, Y, Z) mesh drawn
-    under it, ``fixes`` (m, 2) the antenna's raw positions; ``value`` (n,) colours the path.
+    ``outline`` (k, 2) m is the border of the road file, ``fixes`` (m, 2) the antenna's raw
+    positions; ``value`` (n,), the speed in km/h, colours the path.
     ``turn`` rad turns the map counter-clockwise, so that a long road lies across the page; an
     arrow then says where north is.
     """
     x, y = _turned(np.column_stack([x, y]), turn).T
     outline = None if outline is None else _turned(outline, turn)
     fixes = None if fixes is None else _turned(fixes, turn)
-    if heights is not None:
-        mesh_x, mesh_y = np.moveaxis(_turned(np.stack(heights[:2], axis=-1), turn), -1, 0)
-        heights = (mesh_x, mesh_y, heights[2])
     with style.using():
         spans = [x, y] if outline is None else [outline[:, 0], outline[:, 1]]
         width, height = (max(float(np.ptp(s)), 1.0) for s in spans)
         fig = style.figure(9.2, float(np.clip(8.0 * height / width + 0.9, 2.6, 7.0)))
         axes = fig.subplots()
-        if heights is not None:
-            mesh = axes.pcolormesh(*heights, cmap="Greys", alpha=0.55, shading="gouraud", rasterized=True)
-            fig.colorbar(mesh, ax=axes, label="road height [m]", shrink=0.8, pad=0.01)
         if outline is not None:
             border = np.vstack([outline, outline[:1]])
-            axes.fill(
-                border[:, 0], border[:, 1], color=COLOURS["road"], alpha=0.0 if heights else 0.35, linewidth=0
-            )
+            axes.fill(border[:, 0], border[:, 1], color=COLOURS["road"], alpha=0.35, linewidth=0)
             axes.plot(border[:, 0], border[:, 1], color=COLOURS["soft"], linewidth=0.8, label="road file")
         if fixes is not None:
             axes.plot(
@@ -403,7 +384,7 @@ def path_map(
             lines = LineCollection(pieces, cmap="viridis", linewidth=2.2, zorder=4, label="locked path")
             lines.set_array(value[at[:-1]])
             axes.add_collection(lines)
-            fig.colorbar(lines, ax=axes, label=value_label, shrink=0.8, pad=0.01)
+            fig.colorbar(lines, ax=axes, label="speed [km/h]", shrink=0.8, pad=0.01)
         axes.plot(x[:1], y[:1], "o", color=COLOURS["truth"], markersize=7, label="start", zorder=6)
         axes.plot(x[-1:], y[-1:], "s", color=COLOURS["bound"], markersize=6, label="end", zorder=6)
         axes.set_aspect("equal", adjustable="datalim")
