@@ -46,9 +46,9 @@ def demo_page(result: DemoResult) -> Page:
     page.add(
         Section(
             "The speed bump, in time",
-            "Vertical acceleration at the phone's place, of the phone and of the twin's virtual sensor on the same road, "
-            "its x, y and yaw locked to the car. Both went through the same low-pass; both are as the nodes published "
-            "them while the drive was played.",
+            "Vertical acceleration at the phone's place, of the phone and of the twin's virtual sensor on the same "
+            "road, its x, y and yaw locked to the car. Both went through the same low-pass; both are as the nodes "
+            "published them while the drive was played.",
             drawn["bump_time"],
             captions=["Three passes at 15 km/h. Below, the difference between car and twin."],
         )

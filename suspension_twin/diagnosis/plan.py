@@ -224,20 +224,7 @@ class Plan:
         """A row with the unit and the usual size of the parameter."""
         parameter = EFFECTS[row.effect].on(self.twin.model).parameter(row.parameter)
         more = {"unit": parameter.unit, "usual": _usual_size(self.twin, row.effect, parameter)}
-        order = (
-            "effect",
-            "place",
-            "parameter",
-            "unit",
-            "size",
-            "typical",
-            "largest",
-            "usual",
-            "ratio",
-            "channel",
-        )
-        known = asdict(row) | more
-        return {key: known[key] for key in order}
+        return asdict(row) | more
 
     def write(self, folder: Path) -> None:
         """Write ``folder/plan.json``."""

@@ -52,15 +52,12 @@ __all__ = [
     "unevenness",
 ]
 
-#: Intervals of time (s) and road (m); samples of a segment of a spectrum, as in ``inference.noise``, and its lowest Hz.
-_WINDOW, _METRES = 0.5, 1.0
-_SEGMENT, _LOWEST = 256, 0.5
-#: s of a block of the bootstrap (Künsch 1989), its draws, and the rate of false discoveries (Benjamini, Hochberg 1995).
-_SECONDS, _DRAWS, _FALSE_DISCOVERY_RATE = 1.0, 1000, 0.1
-#: Intervals of an operating point, ratio of the gap in one to its mean; least share and number of reported intervals.
-_BINS, _STANDS_OUT, _LEAST_SHARE, _MOST = 10, 1.25, 0.02, 8
-#: Edges of half octaves in Hz.
-_HALF_OCTAVES = 2.0 ** (0.5 * np.arange(9))
+#: s of an interval of time in ``where``; samples of a segment of a spectrum, as in ``inference.noise``.
+_WINDOW, _SEGMENT = 0.5, 256
+#: Draws of the bootstrap, and the rate of false discoveries (Benjamini, Hochberg 1995).
+_DRAWS, _FALSE_DISCOVERY_RATE = 1000, 0.1
+#: Ratio of the gap at an operating point to its mean, share of the gap and number of intervals that are reported.
+_STANDS_OUT, _LEAST_SHARE, _MOST = 1.25, 0.02, 8
 
 
 # -- samples of a diagnosis --------------------------------------------------------------------------
@@ -142,6 +139,7 @@ def _significant(means: Floats) -> NDArray[np.bool_]:
 
 
 def _time(bench: Bench, excess: Sequence[Floats], total: float) -> list[Json]:
+    """Runs of half seconds with significantly more of the gap than the others."""
     items = []
     for (part, rows, _), energy in zip(_with_gap(bench), excess, strict=True):
         size = max(4, int(_WINDOW * part.rate))
@@ -162,8 +160,9 @@ def _time(bench: Bench, excess: Sequence[Floats], total: float) -> list[Json]:
 
 
 def _road(bench: Bench, energy: Floats, total: float) -> list[Json]:
+    """Runs of metres of road with significantly more of the gap than the others."""
     position = np.concatenate([part.position[rows] for part, rows, _ in _with_gap(bench)])
-    bins = np.floor(position / _METRES).astype(int)
+    bins = np.floor(position).astype(int)
     first = bins.min()
     sums, counts = np.bincount(bins - first, energy), np.bincount(bins - first)
     used = counts > 0
@@ -172,8 +171,8 @@ def _road(bench: Bench, energy: Floats, total: float) -> list[Json]:
     return _ranked(
         [
             {
-                "start_m": round(float((first + a) * _METRES), 2),
-                "end_m": round(float((first + b) * _METRES), 2),
+                "start_m": round(float(first + a), 2),
+                "end_m": round(float(first + b), 2),
                 "share": round(float(sums[a:b].sum()) / total, 4),
             }
             for a, b in runs(flags)
@@ -211,7 +210,7 @@ def _bands(series: Sequence[Floats], rate: float, floor: float, expected: Floats
     (F,) is the power density of the model discrepancy, ``floor`` the noise rms.
     """
     f, power = _periodograms(series, rate)
-    inside = (f >= _LOWEST) & (f < 30.0)
+    inside = (f >= 0.5) & (f < 30.0)
     f, power = f[inside], gaussian_filter1d(power[:, inside], 1.0, axis=1, mode="nearest")
     half = 0.5 * (f[1] - f[0])
     octaves = np.log2((f + half) / (f - half))
@@ -282,7 +281,7 @@ def _by_motion(bench: Bench, energy: Floats, twin: Twin) -> Json:
     blocks, speed, first = [], [], 0
     for part, rows, _ in _with_gap(bench):
         speed.append(np.abs(part.along[rows]))
-        _, block = np.unique(np.floor((part.t[rows] - part.t[0]) / _SECONDS), return_inverse=True)
+        _, block = np.unique(np.floor(part.t[rows] - part.t[0]), return_inverse=True)
         blocks.append(block + first)
         first = int(blocks[-1].max()) + 1
     drawn = np.random.default_rng(0).multinomial(first, np.full(first, 1.0 / first), _DRAWS).astype(float)
@@ -339,7 +338,7 @@ def _operating_points(
     above its mean; ``block`` and ``drawn`` as for the corners."""
     tried = []
     for name, values, unit in quantities:
-        edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1)))
+        edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, 11)))
         bins = edges.size - 1
         if bins < 2:
             continue
@@ -433,7 +432,7 @@ def _repeatability(bench: Bench, difference: Floats) -> dict[str, float]:
     near 0 for clock effects and noise. Empty for a single drive.
     """
     profiles = [
-        (np.floor(part.position[rows] / _METRES).astype(int), difference[place] ** 2)
+        (np.floor(part.position[rows]).astype(int), difference[place] ** 2)
         for part, rows, place in _with_gap(bench)
     ]
     low, high = max(b.min() for b, _ in profiles), min(b.max() for b, _ in profiles)
@@ -462,9 +461,10 @@ def unevenness(bench: Bench, remaining: RemainingResidual, noise: dict[str, floa
         density(v[:, c], segments, measured.rate) for v in (remaining.difference, measured.values)
     )
     f = np.linspace(0.0, 0.5 * measured.rate, rest.size)
-    band = np.digitize(f, _HALF_OCTAVES)
+    half_octaves = 2.0 ** (0.5 * np.arange(9))  # Hz
+    band = np.digitize(f, half_octaves)
     white = 2.0 * noise["vertical_acceleration"] ** 2 / measured.rate / measured.independent
-    own = [band == b for b in range(1, _HALF_OCTAVES.size)]
+    own = [band == b for b in range(1, half_octaves.size)]
     # limited from below by the noise
     level = 0.5 * np.log([max(float(rest[o].mean()) - white, white) / float(motion[o].mean()) for o in own])
     others = [np.delete(level[max(b - 2, 0) : b + 3], min(b, 2)) for b in range(level.size)]
@@ -476,7 +476,6 @@ def unevenness(bench: Bench, remaining: RemainingResidual, noise: dict[str, floa
 #: By domain (m or s): segment length, grid step, lowest and highest frequency. Wheels of 0.2 to 0.5 m radius, orders 1
 #: to 3.
 _DOMAINS = {"distance": (120.0, 0.05, 0.3, 1.6), "time": (10.0, 0.01, 2.0, 20.0)}
-_LEAST_COVERED = 0.7  # share of a segment that has to be covered by samples
 #: Bins (two per resolution) from a component to the end of its neighbourhood, and of the component itself.
 _NEAR, _SELF = 25, 3
 #: Prominence in the residual over that in the simulated signal: a component of a periodic road is in both; share of
@@ -539,7 +538,8 @@ def _prominence(drives: Sequence[Floats], length: float, step: float) -> tuple[F
         way = np.maximum.accumulate(u)
         for begin in np.arange(way[0], way[-1], length):
             own = (way >= begin) & (way < begin + length)
-            if np.count_nonzero(own) < 32 or np.ptp(u[own]) < _LEAST_COVERED * length:
+            # a segment has to be covered by samples
+            if np.count_nonzero(own) < 32 or np.ptp(u[own]) < 0.7 * length:
                 continue
             grid = begin + step * np.arange(round(length / step))
             at = np.maximum.accumulate(u[own])
