@@ -21,6 +21,7 @@ from suspension_twin.units import plain
 __all__ = [
     "NOTHING",
     "UNKNOWN",
+    "Document",
     "answer",
     "capital",
     "chance",
@@ -32,7 +33,6 @@ __all__ = [
     "leading",
     "listed",
     "message",
-    "not_judged",
     "parameter_name",
     "parameter_value",
     "parameters_of",
@@ -40,6 +40,9 @@ __all__ = [
     "place_name",
     "remarks",
 ]
+
+#: The content of ``diagnosis.json``.
+Document = Json
 
 NOTHING, UNKNOWN = "nothing is wrong", "something that is not in the library"
 #: Calibrated language for probabilities (IPCC, Guidance Note on Consistent Treatment of Uncertainties, 2010).
@@ -174,23 +177,23 @@ def _scale(parameter: Parameter) -> float:
     return max(parameter.spread, abs(parameter.typical - parameter.neutral))
 
 
-def channel_of(document: Json, cause: Json | None = None) -> str:
+def channel_of(document: Document, cause: Json | None = None) -> str:
     """Id of the channel whose gap a cause closes; that of the whole gap without one."""
     return str((cause or document["gap"])["channel"])
 
 
-def _named(document: Json) -> list[Json]:
+def _named(document: Document) -> list[Json]:
     """The causes that the answer names, in its order."""
     causes = {c["effect"]: c for c in document["causes"]}
     return [causes[e] for e in document["combination"] if e in causes]
 
 
-def leading(document: Json) -> Json | None:
+def leading(document: Document) -> Json | None:
     """The most probable of the causes that the answer names."""
     return max(_named(document), key=lambda c: float(c["probability"]), default=None)
 
 
-def _likelier(document: Json) -> Json | None:
+def _likelier(document: Document) -> Json | None:
     """The cause that is more probable than an answer that names none: a wrong name costs more than none."""
     if document["verdict"] not in ("no_gap", "unknown"):
         return None
@@ -198,7 +201,7 @@ def _likelier(document: Json) -> Json | None:
     return max(likelier, key=lambda c: float(c["probability"]), default=None)
 
 
-def answer(document: Json) -> str:
+def answer(document: Document) -> str:
     """The answer and how sure it is, in one sentence."""
     verdict, probability, named = document["verdict"], float(document["probability"]), _named(document)
     sure = f"{capital(next(word for least, word in _LIKELY if probability >= least))} ({chance(probability)})"
@@ -219,8 +222,8 @@ def answer(document: Json) -> str:
     return f"{sure}: something is wrong, but nothing in the library of causes explains it."
 
 
-def remarks(document: Json) -> list[str]:
-    """Sentences below the answer: by how much the gap falls, what else it could be, whether it is new."""
+def remarks(document: Document) -> list[str]:
+    """Sentences below the answer: by how much the gap falls, what else it could be, what cannot be judged."""
     verdict, lines = document["verdict"], []
     if document["combination"]:
         lines += _closing(document)
@@ -239,16 +242,13 @@ def remarks(document: Json) -> list[str]:
         lines.append(f"In nine cases of ten like this one the truth is among: {', '.join(candidates)}.")
     if document.get("before_and_after"):
         lines.append("Not new: before and after alike.")
+    weak = [effect_name(e) for e in document["cannot_be_judged"]]
+    if weak:
+        lines.append(f"Cannot be judged, as these drives do not excite them: {', '.join(weak)}.")
     return lines
 
 
-def not_judged(document: Json) -> str:
-    """A sentence on the effects that these drives do not excite; empty where they excite all."""
-    names = [effect_name(e) for e in document["cannot_be_judged"]]
-    return f"Cannot be judged, as these drives do not excite them: {', '.join(names)}." if names else ""
-
-
-def _remaining(document: Json) -> str:
+def _remaining(document: Document) -> str:
     """An unexplained gap in words: its size, and what it resembles."""
     unit, signature = channel_unit(document["gap"]["channel"]), document.get("signature", {})
     words = [f"{document['gap_after']:.2g} {unit} of the gap remain"]
@@ -263,7 +263,7 @@ def _remaining(document: Json) -> str:
     return "; ".join(words)
 
 
-def message(document: Json) -> str:
+def message(document: Document) -> str:
     """The answer in one plain sentence, with how far a cause closes the gap and what remains of an unknown one."""
     text, lead = answer(document).rstrip("."), leading(document)
     if lead is not None:
@@ -279,7 +279,7 @@ def message(document: Json) -> str:
     return text
 
 
-def _closing(document: Json) -> list[str]:
+def _closing(document: Document) -> list[str]:
     """By how much the causes that are named close the gap, and what they cannot be told from."""
     named, lead = _named(document), leading(document)
     assert lead is not None

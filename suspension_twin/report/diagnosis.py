@@ -51,7 +51,12 @@ def diagnosis_page(result: DiagnosisResult) -> Page:
     drives = wording.listed([v.name for v in result.drives] or ["no drive"])
     page = Page("Diagnosis", f"{getattr(result.twin.vehicle, 'name', '') or 'the vehicle'}, {drives}")
     page.lead = Lead(wording.answer(d), wording.remarks(d), _MARKS.get(d["verdict"], ""))
-    for section in (_before_and_after(result), _where(result), _likeliest(d), _next(d)):
+    for section in (
+        _before_and_after(result),
+        _where(result),
+        _likeliest(d),
+        Section("What to drive next", d["next_experiment"]),
+    ):
         page.add(section)
     if d["warnings"]:
         page.add(Section("Warnings", "\n".join(f"- {w}" for w in d["warnings"])))
@@ -281,12 +286,6 @@ def _chance(probability: float, named: bool) -> Cell:
 
 def _parameters(cause: Json) -> str:
     return "; ".join(f"{name} {value}" for name, value in wording.parameters_of(cause))
-
-
-def _next(d: Json) -> Section:
-    return Section(
-        "What to drive next", "\n\n".join(filter(None, [d["next_experiment"], wording.not_judged(d)]))
-    )
 
 
 # -- folded ------------------------------------------------------------------------------------------
