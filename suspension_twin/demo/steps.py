@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The steps of the demo. Nothing is printed here: the caller is told of the progress."""
+"""The steps of the demo. Nothing is printed here: the caller gets the progress."""
 
 from __future__ import annotations
 

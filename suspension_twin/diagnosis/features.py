@@ -11,7 +11,7 @@ content of ``evidence.json``:
 
 from __future__ import annotations
 
-from typing import Any
+from typing import cast
 
 import numpy as np
 from scipy.stats import chi2
@@ -108,7 +108,7 @@ class _Rows:
         rows = gap_rows(judged.bench)
         motion = np.std(problem.measured.values[rows], axis=0)
         gap = np.sqrt(np.mean(judged.uncalibrated.difference[rows] ** 2, axis=0))
-        row: Json = _plain(
+        row = _plain(
             {
                 "kind": self.case.kind,
                 "reference": judged.reference is not None,
@@ -127,7 +127,7 @@ class _Rows:
                 },
             }
         )
-        return row
+        return cast(Json, row)
 
     def row(self, one: Candidate, detailed: bool) -> Json:
         """The row of a hypothesis."""
@@ -159,8 +159,7 @@ class _Rows:
             row["added_low"] = self._added(one)
         if (is_base or detailed) and self.case.road:
             row |= self._pattern(one.remaining)
-        plain: Json = _plain(row)
-        return plain
+        return cast(Json, _plain(row))
 
     def _added(self, one: Candidate) -> float:
         """Lower end of the shrink, in the best channel, that each effect of a set adds to the others; the least."""
@@ -301,13 +300,13 @@ def _apparent_drift(bench: Bench) -> float:
     return 1e6 * _BETWEEN_ENDS * float(np.hypot(clock, place / speed)) / seconds
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     """Numbers of six digits and plain containers, as JSON has them; what is not finite is None."""
     if isinstance(value, dict):
         return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
+    if isinstance(value, list | tuple):
         return [_plain(v) for v in value]
-    if isinstance(value, (bool, str, int)) or value is None:
+    if isinstance(value, bool | str | int) or value is None:
         return value
-    number = float(value)
+    number = float(value)  # type: ignore[arg-type]
     return float(f"{number:.6g}") if np.isfinite(number) else None

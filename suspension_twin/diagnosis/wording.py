@@ -280,7 +280,7 @@ def message(document: Document) -> str:
 
 
 def _closing(document: Document) -> list[str]:
-    """By how much the causes that are named close the gap, and what they cannot be told from."""
+    """By how much the causes that are named close the gap, and what they cannot be distinguished from."""
     named, lead = _named(document), leading(document)
     assert lead is not None
     before, channel = float(lead["gap_before"]), channel_of(document, lead)

@@ -35,7 +35,7 @@ def diagnosis_page(result: DiagnosisResult) -> Page:
     Parameters
     ----------
     result : DiagnosisResult
-        What :func:`~suspension_twin.diagnosis.run.diagnose` returned.
+        Result of :func:`~suspension_twin.diagnosis.run.diagnose`.
 
     Returns
     -------

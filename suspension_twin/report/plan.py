@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of a plan: what a set-up could show, at which size, and what it could never tell apart."""
+"""The page of a plan: smallest sizes of effects that a set-up could show, and pairs that it could not separate."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _NEAR = 1.25
 
 
 def plan_page(plan: Plan) -> Page:
-    """Make the page of a plan: what shows from which size, which pairs look alike, and what would separate them.
+    """Make the page of a plan: smallest sizes that show, pairs that look alike, and changes that would separate them.
 
     Parameters
     ----------
@@ -73,8 +73,8 @@ def plan_page(plan: Plan) -> Page:
     page.add(
         Section(
             "How alike they are",
-            "Degrees between what is left of a cause (row) and the best that a rival (column) makes of it, after "
-            "recalibration: 90 is nothing in common, below about 20 they look alike.",
+            "Degrees between the residual of a cause (row) after recalibration and the nearest response of a rival "
+            "(column): 90 is nothing in common, below about 20 they look alike.",
             _matrix(plan),
         )
     )
@@ -232,9 +232,9 @@ def _method(plan: Plan) -> Section:
     return Section(
         "Method",
         f"Nothing was measured. The twin was simulated over the road ({seconds}) with a phone's noise and an RTK "
-        "receiver, and so were small and large sizes of every effect. What the parameters of the vehicle and the "
-        "nuisances (clock, map, mount, biases) can make up for is projected off; what is left counts in units of the "
-        "residual that noise and a sound model leave, in the channel and drive where it is largest.\n\n"
+        "receiver, and so were small and large sizes of every effect. The part that the parameters of the "
+        "vehicle and the nuisance parameters (clock, map, mount, biases) can compensate is projected off; the rest "
+        "counts in units of noise and model discrepancy, in the channel and drive where it is largest.\n\n"
         f"A fault shows from {DETECTABLE:g} of these units on, and a pair is distinguished where the rival leaves "
         f"{APART:g}: figures learnt on diagnoses with sealed labels (`benchmarks/plan_confusion.py`). They hold for "
         "single faults on a road like those; a real diagnosis says what its own drives could show.",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bench of drives with one channel, for what needs no vehicle."""
+"""A bench of drives with one channel, for functions that need no vehicle."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ RATE, CHANNEL = 100.0, "vertical_acceleration"
 
 
 def bench(lengths: list[int], values: np.ndarray, active: tuple[bool, ...] | None = None) -> Any:
-    """What the functions here ask of a bench: drives of ``lengths`` samples end to end, one channel."""
+    """A bench of drives of ``lengths`` samples end to end with one channel."""
     ends = np.cumsum([0, *lengths])
-    stretches = [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    segments = [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
     measured = SimpleNamespace(
         channels=(CHANNEL,),
-        segments=stretches,
+        segments=segments,
         drives=list(range(len(lengths))),
         rate=RATE,
         independent=0.4,

@@ -39,7 +39,7 @@ def of(columns, known, high=np.inf):
     )
 
 
-def test_what_known_parameters_leave_is_the_least_squares_residual():
+def test_known_parameters_leave_the_least_squares_residual():
     rng = np.random.default_rng(0)
     columns = rng.standard_normal((50, 5))
     found = of(columns, 3)
@@ -124,12 +124,12 @@ def test_at_one_speed_a_late_clock_is_a_shifted_map_and_other_speeds_separate_th
     assert several.angles[0, 1] > 20.0
 
 
-def test_a_clock_shows_beyond_what_any_clock_is_off(clocks):
+def test_a_clock_offset_shows_beyond_the_range_of_the_nuisance(clocks):
     size = next(s.size for s in clocks[1].shown if s.effect == "time_offset")
     assert 0.006 < size < 0.03  # three standard deviations of the nuisance, and a good deal less than typical
 
 
-def test_what_needs_roll_shows_on_a_bump_under_one_side_alone(mondeo):
+def test_effects_of_roll_show_on_a_one_sided_bump_alone(mondeo):
     only = ("sensor_offset", "anti_roll_bar")
     flat, lopsided = (plan(mondeo, road, (20.0,), only) for road in (across(), one_sided()))
     for found, wanted in ((flat, False), (lopsided, True)):
@@ -140,8 +140,8 @@ def test_what_needs_roll_shows_on_a_bump_under_one_side_alone(mondeo):
     assert seen["sensor_offset", "y"].channel == "vertical_acceleration"
 
 
-def test_a_higher_bump_shows_a_smaller_fault_until_the_models_error_counts(mondeo):
-    """Both the fault's mark and the model's error grow with the bump, the noise does not."""
+def test_a_higher_bump_shows_a_smaller_fault_until_model_discrepancy_dominates(mondeo):
+    """The response to the fault and the model discrepancy grow with the bump, the noise does not."""
     sizes = [
         next(s.size for s in plan(mondeo, across(h), (20.0,), ("sensor_offset",)).shown if s.parameter == "x")
         for h in (0.006, 0.024, 0.096)
@@ -196,7 +196,7 @@ def test_the_next_drive_says_how_much_it_is_worth(nats, says, monkeypatch):
     assert says in next_experiment(road, candidates("time_offset", "clock_drift"), "unknown", judged)
 
 
-def test_what_cannot_be_planned_is_one_line(mondeo, repository):
+def test_inputs_that_cannot_be_planned_are_one_line(mondeo, repository):
     with pytest.raises(InputError, match="does not drive on a road"):
         plan(load_twin(repository / "config" / "tracked" / "pt91.yaml"), across())
     with pytest.raises(InputError, match="too short"):

@@ -14,7 +14,7 @@ ON_MODELS = [(e, model) for e, effect in EFFECTS.items() for model in effect.mod
 
 
 def severe(effect, model):
-    """Parameters of an effect that is plain to see."""
+    """Parameters of a severe effect."""
     own = EFFECTS[effect].on(model)
     more = {p.name: p.typical for p in own.parameters}
     for name in own.severity:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of a diagnosis: the answer first, plain words, the rest folded away."""
+"""The page of a diagnosis: the answer first, in words, the rest folded away."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def test_the_answer_stands_first_in_words_of_a_mechanic(repository):
     assert {"Every cause that was tried", "Where, in figures", "Method"} <= set(folded)
 
 
-def test_what_shows_has_names_units_and_times_from_the_start(repository):
+def test_visible_text_has_names_units_and_times_from_the_start(repository):
     text = visible(diagnosis_page(result(repository, document())).render())
     assert "wheel front left" in text and "corner 0" not in text
     assert "3 s after the start of fast" in text and "17000000" not in text

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of a plan: what shows from which size, and what looks alike."""
+"""The page of a plan: smallest sizes that show, and pairs that look alike."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def found(mondeo, pairs):
     )
 
 
-def test_it_says_what_shows_and_what_never_does(mondeo):
+def test_it_lists_the_effects_that_show_and_those_that_never_do(mondeo):
     html = plan_page(found(mondeo, ())).render()
     assert "3 of 4 faults would show" in html
     assert "Not at any plausible size: bump stop." in html
