@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -96,22 +96,16 @@ def characteristics(
             damper.set_title(f"{axle} damper".strip())
             _range(spring, found.compression, "excited by the drive")
             _range(damper, found.velocity)
+            panels = {"spring": spring, "push": damper, "pull": damper}
             for role, vehicle in vehicles.items():
-                own = vehicle.axles[axle]
-                rest = own.static_compression if from_rest else 0.0
-                _spring(
-                    spring,
-                    role,
-                    own.part,
-                    (-reach_x if from_rest else 0.0, reach_x),
-                    rest,
-                    names.get(role, role),
-                )
-                _damper(damper, role, own.part, reach_v)
-            simulated = vehicles.get("simulated")
-            if simulated is not None:
-                own = simulated.axles[axle]
-                _unexcited(spring, damper, found, own.part, own.static_compression if from_rest else 0.0)
+                for kind, curve in _curves(vehicle.axles[axle], from_rest).items():
+                    low, reach = (-reach_x, reach_x) if kind == "spring" else (0.0, reach_v)
+                    label = names.get(role, role) if kind == "spring" else None
+                    _draw(panels[kind], role, curve, (low, reach), label)
+            if "simulated" in vehicles:
+                simulated = _curves(vehicles["simulated"].axles[axle], from_rest)
+                for kind, x in found.unexcited:
+                    _ring(panels[kind], simulated[kind], x)
             _bands(spring, damper, found)
             spring.set_xlabel(
                 "travel from standstill [m]" if from_rest else "compression from free length [m]"
@@ -141,35 +135,41 @@ def _reach(
     return float(max(d.velocity[-1] for part in parts for d in (part.damper_push, part.damper_pull)))
 
 
-def _spring(axes: Axes, role: str, part: Any, span: tuple[float, float], rest: float, label: str) -> None:
-    points = part.spring.points
-    low, high = max(span[0] + rest, 0.0), span[1] + rest
-    inside = (points[0] > low) & (points[0] < high)
-    x = np.concatenate([[low], points[0][inside], [high]])
-    axes.plot(x - rest, force(points, x) / 1e3, color=COLOURS[role], label=label, **LINES[role])
-    _dots(axes, role, (points[0][inside] - rest, points[1][inside]), 1.0)
+class _Curve(NamedTuple):
+    """Points (k,) of a characteristic, drawn at ``sign`` (x - ``shift``), ``sign`` F(x)."""
+
+    points: tuple[Floats, Floats]
+    sign: float
+    shift: float
 
 
-def _damper(axes: Axes, role: str, part: Any, reach: float) -> None:
-    for damper, sign in ((part.damper_push, 1.0), (part.damper_pull, -1.0)):
-        points = damper.points
-        v = np.unique(np.concatenate([[0.0, reach], points[0][points[0] < reach]]))
-        axes.plot(sign * v, sign * force(points, v) / 1e3, color=COLOURS[role], **LINES[role])
-        inside = points[0] <= reach
-        _dots(axes, role, (points[0][inside], points[1][inside]), sign)
+def _curves(own: Suspension, from_rest: bool) -> dict[str, _Curve]:
+    """The characteristics of an axle by kind."""
+    return {
+        "spring": _Curve(own.part.spring.points, 1.0, own.static_compression if from_rest else 0.0),
+        "push": _Curve(own.part.damper_push.points, 1.0, 0.0),
+        "pull": _Curve(own.part.damper_pull.points, -1.0, 0.0),
+    }
 
 
-def _dots(axes: Axes, role: str, points: tuple[Floats, Floats], sign: float) -> None:
-    """The twin's own points; a truth is a curve and has none that matter."""
+def _draw(axes: Axes, role: str, curve: _Curve, span: tuple[float, float], label: str | None) -> None:
+    """A curve over a span of its abscissa, with its own points; a truth is a curve without points."""
+    (x, f), sign, shift = curve
+    low, high = max(span[0] + shift, 0.0), span[1] + shift
+    inside = (x > low) & (x <= high)
+    at = np.concatenate([[low], x[inside], [high]])
+    line = {"color": COLOURS[role], "label": label, **LINES[role]}
+    axes.plot(sign * (at - shift), sign * force(curve.points, at) / 1e3, **line)
     if role != "truth":
-        axes.plot(
-            sign * points[0],
-            sign * points[1] / 1e3,
-            "o",
-            color=COLOURS[role],
-            markersize=3.6,
-            zorder=LINES[role]["zorder"],
-        )
+        dots = {"color": COLOURS[role], "markersize": 3.6, "zorder": LINES[role]["zorder"]}
+        axes.plot(sign * (x[inside] - shift), sign * f[inside] / 1e3, "o", **dots)
+
+
+def _ring(axes: Axes, curve: _Curve, x: float) -> None:
+    """A ring about the point of a curve at ``x``."""
+    y = float(force(curve.points, np.array([x]))[0])
+    place = [curve.sign * (x - curve.shift)], [curve.sign * y / 1e3]
+    axes.plot(*place, "o", markersize=7, markerfacecolor="none", color=COLOURS["bound"], zorder=7)
 
 
 def _range(axes: Axes, span: tuple[float, float] | None, label: str | None = None) -> None:
@@ -194,23 +194,3 @@ def _bands(spring: Axes, damper: Axes, found: AxleEvidence) -> None:
                 zorder=1,
                 label="interval" if axes is spring else None,
             )
-
-
-def _unexcited(spring: Axes, damper: Axes, found: AxleEvidence, part: Any, rest: float) -> None:
-    curves = {
-        "spring": (spring, part.spring.points, 1.0, rest),
-        "push": (damper, part.damper_push.points, 1.0, 0.0),
-        "pull": (damper, part.damper_pull.points, -1.0, 0.0),
-    }
-    for kind, x in found.unexcited:
-        axes, points, sign, shift = curves[kind]
-        y = float(force(points, np.array([x]))[0])
-        axes.plot(
-            [sign * (x - shift)],
-            [sign * y / 1e3],
-            "o",
-            markersize=7,
-            markerfacecolor="none",
-            color=COLOURS["bound"],
-            zorder=7,
-        )

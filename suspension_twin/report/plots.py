@@ -520,5 +520,5 @@ def _wheel(axes: Axes, x: float, y: float, strength: float, marked: bool) -> Non
     for colour, alpha in ((COLOURS["soft"], 0.55), (COLOURS["simulated"], strength)):
         _box(axes, place, size, 0.02, facecolor=colour, edgecolor="none", alpha=alpha, zorder=3)
     if marked:
-        ring = {"marker": "o", "markersize": 27, "fillstyle": "none", "markeredgewidth": 2.0}
-        axes.plot([x], [y], color=COLOURS["simulated"], zorder=6, **ring)
+        ring: dict[str, Any] = {"markersize": 27, "fillstyle": "none", "markeredgewidth": 2.0, "zorder": 6}
+        axes.plot([x], [y], "o", color=COLOURS["simulated"], **ring)
