@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -32,13 +31,13 @@ _WINDOW = 4.0  # s of a panel in time
 _PANELS = 3
 _WAVE = 3.0  # m: longer waves of the road are left out of its profile
 _LONGEST_RATED = 20.0  # s of a drive that ISO/TS 18571 rates: its time warping costs with the square
-#: What each status means, and its colour in the table.
+#: Meaning of each status, and its colour in the table.
 _MEANINGS = {
     "identified": "the drives carry at least as much information on it as its prior",
     "extrapolated": "it follows identified neighbours on its characteristic by the prior of smooth slopes; a faster "
     "drive or a higher bump would identify it",
     "kept": "at its start: the drives do not show that it differs from it",
-    "not identified": "the search knew no prior: the value is arbitrary within its interval",
+    "not identified": "the search had no prior: the value is arbitrary within its interval",
     "on bound": "the search wanted to go further",
 }
 _COLOURS: dict[str, Mark] = {
@@ -61,7 +60,7 @@ def calibration_page(result: CalibrationResult) -> Page:
     Parameters
     ----------
     result : CalibrationResult
-        What :func:`~suspension_twin.calibration.run.calibrate` returned.
+        Result of :func:`~suspension_twin.calibration.run.calibrate`.
 
     Returns
     -------
@@ -143,23 +142,13 @@ def _summary(result: CalibrationResult) -> str:
 
 
 def _agreement_table(result: CalibrationResult) -> Table:
-    rows: list[list[object]] = []
     main = result.drives[0].channel if result.drives else ""
     unit = channel_unit(main)
-    for d in result.drives:
-        for name, simulated in (("as it started", d.before), ("calibrated", d.after)):
-            a, b = (s[d.channel][d.compared] for s in (d.measured, simulated))
-            rated = slice(0, int(_LONGEST_RATED * d.rate))
-            rows.append(
-                [
-                    f"{d.name}, {name}",
-                    float(rms_error(a, b)),
-                    float(mean_squared_error(a, b)),
-                    float(correlation(a, b)),
-                    float(iso18571(a[rated], b[rated], d.rate).overall),
-                    float(spectral_distance(a, b, d.rate)),
-                ]
-            )
+    rows = [
+        _agreement(d, name, simulated[d.channel])
+        for d in result.drives
+        for name, simulated in (("as it started", d.before), ("calibrated", d.after))
+    ]
     columns = [
         "twin",
         f"rms [{unit}]",
@@ -169,6 +158,19 @@ def _agreement_table(result: CalibrationResult) -> Table:
         "spectra apart [dB]",
     ]
     return Table(columns, rows, f"{main.replace('_', ' ')}, on the compared samples")
+
+
+def _agreement(drive: DriveFit, name: str, simulated: Floats) -> list[object]:
+    a, b = drive.measured[drive.channel][drive.compared], simulated[drive.compared]
+    rated = slice(0, int(_LONGEST_RATED * drive.rate))
+    return [
+        f"{drive.name}, {name}",
+        float(rms_error(a, b)),
+        float(mean_squared_error(a, b)),
+        float(correlation(a, b)),
+        float(iso18571(a[rated], b[rated], drive.rate).overall),
+        float(spectral_distance(a, b, drive.rate)),
+    ]
 
 
 def _drive_section(drive: DriveFit) -> Section:
@@ -353,22 +355,23 @@ def _unidentified(result: CalibrationResult, axle: str) -> list[tuple[str, float
 # -- tables ----------------------------------------------------------------------------------------
 
 
+def _interval(low: float, high: float) -> str:
+    return f"{short(low)} to {short(high)}" if math.isfinite(low) else "–"
+
+
 def _parameter_section(result: CalibrationResult) -> Section:
-    rows: list[Sequence[object]] = []
-    for e in result.estimates:
-        interval = f"{short(e.low)} to {short(e.high)}" if math.isfinite(e.low) else "–"
-        value = Cell(e.value, "bad", f"on its {e.on_bound} bound") if e.on_bound else Cell(e.value)
-        rows.append(
-            [
-                parameter_label(result.twin, e.key),
-                parameter_unit(e.key),
-                e.start,
-                value,
-                interval,
-                f"{short(e.lower)} to {short(e.upper)}",
-                Cell(e.status, _COLOURS[e.status], _MEANINGS[e.status]),
-            ]
-        )
+    rows = [
+        [
+            parameter_label(result.twin, e.key),
+            parameter_unit(e.key),
+            e.start,
+            Cell(e.value, "bad", f"on its {e.on_bound} bound") if e.on_bound else Cell(e.value),
+            _interval(e.low, e.high),
+            _interval(e.lower, e.upper),
+            Cell(e.status, _COLOURS[e.status], _MEANINGS[e.status]),
+        ]
+        for e in result.estimates
+    ]
     columns = ["parameter", "unit", "start", "found", "90 % interval", "bounds", "status"]
     text = (
         "Values on a bound are coloured. An interval that does not hold its value shows that the bounds or the search "
@@ -378,10 +381,10 @@ def _parameter_section(result: CalibrationResult) -> Section:
 
 
 def _sensor_section(result: CalibrationResult) -> Section:
-    rows: list[Sequence[object]] = []
-    for s in result.sensor:
-        written = Cell("in the twin file", "good") if s.written else Cell("left as it was", "soft")
-        rows.append([s.key, s.start, s.value, f"{short(s.low)} to {short(s.high)}", s.unit, written])
+    written = {True: Cell("in the twin file", "good"), False: Cell("left as it was", "soft")}
+    rows = [
+        [s.key, s.start, s.value, _interval(s.low, s.high), s.unit, written[s.written]] for s in result.sensor
+    ]
     text = (
         "The latency of the IMU, its low-pass included, and how its mounting is turned against the starting file. A "
         "value goes into the twin file where that lowers the expected error of the calibrated vehicle on another "
@@ -392,23 +395,23 @@ def _sensor_section(result: CalibrationResult) -> Section:
 
 
 def _nuisance_section(result: CalibrationResult) -> Section:
-    rows: list[Sequence[object]] = []
-    for n in result.nuisances:
-        identified = math.isfinite(n.sigma) and n.sigma**2 <= 0.5 * n.prior**2
-        rows.append(
-            [
-                n.name.replace("_", " "),
-                n.value,
-                n.sigma,
-                n.unit,
-                Cell("", "") if identified else Cell("not identified", "soft"),
-            ]
-        )
+    identified = {n.name for n in result.nuisances if n.sigma**2 <= 0.5 * n.prior**2}
+    rows = [
+        [
+            n.name.replace("_", " "),
+            n.value,
+            n.sigma,
+            n.unit,
+            Cell("") if n.name in identified else Cell("not identified", "soft"),
+        ]
+        for n in result.nuisances
+    ]
     text = (
-        "Errors of clock, map, mount and sensor, estimated together with the vehicle's parameters. Only what the "
-        "section above names is in the twin file."
+        "Errors of clock, map, mount and sensor, estimated together with the vehicle's parameters. Only the values of "
+        "the section above are in the twin file."
     )
-    return Section("Nuisances", text, Table(["what", "found", "± (one sigma)", "unit", ""], rows))
+    columns = ["nuisance parameter", "found", "± (one sigma)", "unit", ""]
+    return Section("Nuisances", text, Table(columns, rows))
 
 
 def _search_section(result: CalibrationResult) -> Section:

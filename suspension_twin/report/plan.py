@@ -28,7 +28,7 @@ def plan_page(plan: Plan) -> Page:
     Parameters
     ----------
     plan : Plan
-        What :func:`~suspension_twin.diagnosis.plan.plan` returned.
+        Result of :func:`~suspension_twin.diagnosis.plan.plan`.
 
     Returns
     -------
