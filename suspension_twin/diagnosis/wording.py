@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from typing import Final
+from typing import Any, Final
 
-from suspension_twin.diagnosis.decision import Json
 from suspension_twin.effects._phrases import listed
 from suspension_twin.effects.base import Parameter
 from suspension_twin.effects.registry import EFFECTS
@@ -41,8 +40,8 @@ __all__ = [
     "remarks",
 ]
 
-#: The content of ``diagnosis.json``.
-Document = Json
+#: The content of ``diagnosis.json``, or of one of its causes.
+Document = Mapping[str, Any]
 
 NOTHING, UNKNOWN = "nothing is wrong", "something that is not in the library"
 #: Calibrated language for probabilities (IPCC, Guidance Note on Consistent Treatment of Uncertainties, 2010).
@@ -139,7 +138,7 @@ def effect_at(effect: str, place: str) -> str:
     return effect_name(effect) + (f", {parameter_value(effect, name, float(value))}" if value else "")
 
 
-def parameters_of(cause: Json) -> list[tuple[str, str]]:
+def parameters_of(cause: Document) -> list[tuple[str, str]]:
     """Names and values of a cause's parameters, with their 90 % intervals where there are any."""
     effect, ends = cause["effect"], cause.get("parameter_intervals", {})
     rows = []
@@ -177,23 +176,23 @@ def _scale(parameter: Parameter) -> float:
     return max(parameter.spread, abs(parameter.typical - parameter.neutral))
 
 
-def channel_of(document: Document, cause: Json | None = None) -> str:
+def channel_of(document: Document, cause: Document | None = None) -> str:
     """Id of the channel whose gap a cause closes; that of the whole gap without one."""
     return str((cause or document["gap"])["channel"])
 
 
-def _named(document: Document) -> list[Json]:
+def _named(document: Document) -> list[Document]:
     """The causes that the answer names, in its order."""
     causes = {c["effect"]: c for c in document["causes"]}
     return [causes[e] for e in document["combination"] if e in causes]
 
 
-def leading(document: Document) -> Json | None:
+def leading(document: Document) -> Document | None:
     """The most probable of the causes that the answer names."""
     return max(_named(document), key=lambda c: float(c["probability"]), default=None)
 
 
-def _likelier(document: Document) -> Json | None:
+def _likelier(document: Document) -> Document | None:
     """The cause that is more probable than an answer that names none: a wrong name costs more than none."""
     if document["verdict"] not in ("no_gap", "unknown"):
         return None

@@ -15,8 +15,8 @@ from scipy import signal
 
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis import wording
-from suspension_twin.diagnosis.decision import Json
 from suspension_twin.diagnosis.request import DiagnosisResult, DriveView
+from suspension_twin.diagnosis.wording import Document
 from suspension_twin.inference.gap import channel_unit
 from suspension_twin.report import plots
 from suspension_twin.report.page import Cell, Html, Lead, Mark, Page, Row, Section, Table
@@ -112,7 +112,7 @@ def _in_time(view: DriveView, simulated: str, cut: slice = slice(None)) -> Figur
     )
 
 
-def _bars(d: Json, lead: Json | None, channel: str, after: str) -> Html:
+def _bars(d: Document, lead: Document | None, channel: str, after: str) -> Html:
     """The gap of the twin as given, recalibrated, and with what was found, as bars."""
     r = d["recalibration"]
     before = lead["gap_before"] if lead else r["gap_before"]
@@ -254,7 +254,7 @@ def _car(result: DiagnosisResult) -> Figure | None:
 # -- causes ------------------------------------------------------------------------------------------
 
 
-def _likeliest(d: Json) -> Section:
+def _likeliest(d: Document) -> Section:
     rows: list[tuple[object, ...]] = []
     for c in d["causes"][:_SHOWN_CAUSES]:
         name = wording.capital(wording.finding(c["effect"], c["parameters"]))
@@ -284,14 +284,14 @@ def _chance(probability: float, named: bool) -> Cell:
     return Cell(Html(f"{wording.chance(probability)}{bar}"), "good" if named else "")
 
 
-def _parameters(cause: Json) -> str:
+def _parameters(cause: Document) -> str:
     return "; ".join(f"{name} {value}" for name, value in wording.parameters_of(cause))
 
 
 # -- folded ------------------------------------------------------------------------------------------
 
 
-def _all_causes(d: Json) -> Section:
+def _all_causes(d: Document) -> Section:
     tied = any(c["indistinguishable_from"] for c in d["causes"])
     rows = [
         (
@@ -352,7 +352,7 @@ def _places(result: DiagnosisResult) -> Section:
     )
 
 
-def _channels(d: Json) -> Table:
+def _channels(d: Document) -> Table:
     shares = {i["name"]: wording.percent(i["share"]) for i in d["where"]["channel"]}
     rows = [
         (wording.channel_name(name), f"{rms:.2g} {channel_unit(name)}", shares.get(name, ""))
@@ -362,7 +362,7 @@ def _channels(d: Json) -> Table:
     return Table(columns, rows, "By channel, the share in units of its noise")
 
 
-def _table(items: Sequence[Json], caption: str, columns: dict[str, str]) -> Table | None:
+def _table(items: Sequence[Document], caption: str, columns: dict[str, str]) -> Table | None:
     """One kind of entry as a table, ``columns`` mapping headings to keys; None where there is none."""
 
     rows = [
@@ -381,7 +381,7 @@ def _drives(result: DiagnosisResult) -> Section:
     return Section("Every drive", "", *figures, captions=captions, folded=True)
 
 
-def _signature(s: Json) -> Section:
+def _signature(s: Document) -> Section:
     channel = wording.channel_name(s["channel"])
     lines = [f"band {s['low_hz']} to {s['high_hz']} Hz, strongest at {s['peak_hz']} Hz ({channel})"]
     if "in_space" in s:
@@ -422,7 +422,7 @@ def _signature(s: Json) -> Section:
     return Section("What remains unexplained looks like this", text, folded=True)
 
 
-def _method(d: Json) -> Section:
+def _method(d: Document) -> Section:
     r, b, unit = d["recalibration"], d["background"], channel_unit(d["gap"]["channel"])
     text = f"The residual of the written twin.yaml is {wording.percent(b['share_of_motion_left'])} of the motion's rms"
     if b["share_left_on_reference"] is not None:
