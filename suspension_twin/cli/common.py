@@ -205,7 +205,7 @@ def print_diagnosis(document: Mapping[str, Any], out: Path | None) -> None:
         low, high = cause["shrink_beyond_recalibration_interval"]
         rows.append(
             (
-                cause["effect"],
+                wording.effect_name(cause["effect"]),
                 "; ".join(f"{name} {value}" for name, value in wording.parameters_of(cause)),
                 wording.channel_name(wording.channel_of(document, cause)),
                 f"{cause['probability']:.3f}",
