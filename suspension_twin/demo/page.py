@@ -23,7 +23,7 @@ from suspension_twin.signals.spectra import power_density
 __all__ = ["demo_page", "figures"]
 
 _CUTOFF = 20.0  # Hz, the nodes' default low-pass
-_WAVE = 4.0  # m, what is longer moves the car and not its struts
+_WAVE = 4.0  # m; longer waves move the car and not its struts
 _IDENTIFIED = Cell("yes", "good")
 _NOT_IDENTIFIED = Cell("no", "warn", "extrapolated from its neighbours, or kept at its start")
 
@@ -94,7 +94,7 @@ def demo_page(result: DemoResult) -> Page:
     page.add(
         Section(
             "Springs and dampers",
-            "What the calibration found from the bump alone. Springs are drawn over the travel from standstill: a "
+            "Springs and dampers as identified from the bump alone. Springs are drawn over the travel from standstill: a "
             "drive does not identify their free length. Outside the shaded range the drive did not move the struts: "
             "there the characteristics are extrapolated. The truth is known because the drive is simulated; the "
             "calibration did not see it.",

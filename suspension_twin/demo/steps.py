@@ -116,9 +116,9 @@ def run_demo(bags: Path, out: Path, progress: Progress, *, seed: int = 0) -> Dem
     truths = {name: bags / name / "truth.yaml" for name in DRIVES}
     with session() as ros:
 
-        def live(name: str, twin: Path, what: str) -> Outcome:
-            when = "Held out" if name == UNSEEN and what == "calibrated twin" else "Live"
-            with _step(progress, f"{when}: {DRIVES[name]}, {what}") as done:
+        def live(name: str, twin: Path, which: str) -> Outcome:
+            when = "Held out" if name == UNSEEN and which == "calibrated twin" else "Live"
+            with _step(progress, f"{when}: {DRIVES[name]}, {which}") as done:
                 replay = ros.replay(sites[name].drive, twin, progress.share)
                 outcome = _outcome(name, replay, sites[name].road)
                 done.append(f"gap {outcome.rms:.2f} of {outcome.measured_rms:.2f} m/s²")

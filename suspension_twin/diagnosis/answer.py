@@ -29,7 +29,7 @@ def answer_of(evidence: Json, decision: Decision) -> Json:
     evidence : mapping
         Content of ``evidence.json``.
     decision : Decision
-        What was decided on it.
+        The decision on it.
     """
     case, base, rows = evidence["case"], evidence["base"], evidence["hypotheses"]
     main = next(iter(case["channels"]))

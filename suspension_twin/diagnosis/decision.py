@@ -59,9 +59,9 @@ FEATURES: Mapping[str, str] = {
     "chance": "share of the gain in the fit that is lost on held-out road",
     "tone": "log of the fall of the strongest tone",
     "explained": "share of the residual beyond the expected discrepancy",
-    "complete": "share of what any hypothesis removes",
-    "excess": "what remains beside the expected discrepancy",
-    "above_reference": "log of what remains over what remains on the reference",
+    "complete": "reduction of the residual over the largest by any hypothesis",
+    "excess": "log of the remaining residual over that of a complete model, times the unexplained share",
+    "above_reference": "log of the remaining residual over that on the reference",
     "lost": "growth of the gap in another channel",
     "usual": "as small as errors of twin files are",
     "far": "distance of its parameters beyond their prior",
@@ -70,16 +70,16 @@ FEATURES: Mapping[str, str] = {
     "added": "evidence over the best smaller set",
     "added_proven": "lower end of the shrink that each of its effects adds",
     # of no gap
-    "none_excess": "what remains beside the expected discrepancy",
-    "none_above_reference": "log of what remains over what remains on the reference",
+    "none_excess": "log of the remaining residual over that of a complete model",
+    "none_above_reference": "log of the remaining residual over that on the reference",
     "none_gain": "evidence of the best hypothesis that is larger than usual errors of twin files",
     "none_pattern": "tone, band and place beyond those of model discrepancy",
     "none_clocks": "clock offsets near their bounds",
     # of unknown
     "unknown": "a constant",
     "unknown_blind": "no reference",
-    "unknown_best_excess": "what the best cause leaves",
-    "unknown_above_reference": "the least that any hypothesis leaves, over what remains on the reference",
+    "unknown_best_excess": "log of the remaining residual of the best cause over that of a complete model",
+    "unknown_above_reference": "log of the least remaining residual of any hypothesis over that on the reference",
     "unknown_open": "evidence of the best set over the best single effect",
 }
 #: Severity over the usual error of a twin file up to which an effect is as small as such errors are: half a standard
@@ -119,7 +119,7 @@ class Costs:
 
     @classmethod
     def parsed(cls, text: str) -> Costs:
-        """From ``wrong=4,missed=1``; InputError names what is not one of them or no positive number."""
+        """From ``wrong=4,missed=1``; InputError names a cost that is unknown or no positive number."""
         known = {f.name for f in fields(cls)}
         given: dict[str, float] = {}
         for item in filter(None, (i.strip() for i in text.split(","))):
@@ -280,7 +280,7 @@ def answers_of(evidence: Json) -> list[Answer]:
         "unknown_open": _compressed(max([0.0, *gains]) - max([0.0, *singles])),
     }
     found = [Answer((), None, _vector(none)), Answer(("unknown",), None, _vector(unknown))]
-    # what a request leaves out of the library may be the cause as well: that is "unknown"
+    # an effect that a request leaves out of the library may be the cause as well: that is "unknown"
     number = max(case.get("library", 0), sum(map(single, rows)), 1)
     most, least = _square(case, base), min(_square(case, r) for r in (base, *rows))
     for row, gain in zip(rows, gains, strict=True):
@@ -383,7 +383,7 @@ def _driven_squares(case: Json, row: Json) -> list[float]:
 
 
 def _excess(case: Json, row: Json) -> float:
-    """Log of the remaining residual over what a complete model leaves, and over the noise; 0 where it is less."""
+    """Log of the remaining residual over that of a complete model, and over the noise; 0 where it is less."""
     main, level = next(iter(case["channels"].values())), max(row["level_fitted"], 1e-3)
     if case["reference"]:
         over = 0.5 * np.log(max([1e-9, *_driven_squares(case, row)]) / _usual("square"))

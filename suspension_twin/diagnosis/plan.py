@@ -436,7 +436,7 @@ def plan(
     Returns
     -------
     Plan
-        Sizes, angles, pairs and what would separate them.
+        Sizes, angles, pairs and the changes that would separate them.
 
     Raises
     ------
@@ -490,7 +490,7 @@ def _detectability(twin: Twin, found: Products, rays: Sequence[Ray]) -> list[Det
         first += ray.sizes.size
         size, largest = ray.size_from(own.max(axis=0), DETECTABLE), float(ray.sizes[-1])
         usual = _usual_size(twin, ray.effect, ray.parameter)
-        if size is not None and not ray.parameter.log:  # what sound vehicles have is no finding
+        if size is not None and not ray.parameter.log:  # sizes of sound vehicles are no finding
             size = max(size, usual) if usual < largest else None
         best = int(np.argmax(own[:, -1]))
         out.append(

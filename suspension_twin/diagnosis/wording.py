@@ -248,7 +248,7 @@ def remarks(document: Document) -> list[str]:
 
 
 def _remaining(document: Document) -> str:
-    """An unexplained gap in words: its size, and what it resembles."""
+    """An unexplained gap in words: its size, and the shapes and errors that it resembles."""
     unit, signature = channel_unit(document["gap"]["channel"]), document.get("signature", {})
     words = [f"{document['gap_after']:.2g} {unit} of the gap remain"]
     for like in signature.get("resembles", [])[:1]:
@@ -263,7 +263,7 @@ def _remaining(document: Document) -> str:
 
 
 def message(document: Document) -> str:
-    """The answer in one plain sentence, with how far a cause closes the gap and what remains of an unknown one."""
+    """The answer in one plain sentence, with how far a cause closes the gap and how much remains of an unknown one."""
     text, lead = answer(document).rstrip("."), leading(document)
     if lead is not None:
         low, high = (percent(v) for v in lead["shrink_beyond_recalibration_interval"])

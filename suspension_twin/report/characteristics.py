@@ -78,8 +78,8 @@ def characteristics(
     the vehicles' points.
 
     With ``from_rest`` springs are drawn over the travel from standstill instead of the compression
-    from free length, and evidence is taken as such: that is what a drive can see. Where the free
-    length lies it cannot, since at rest every spring carries the same load.
+    from free length, and so is the evidence. A drive identifies the travel, not the free length,
+    since at rest every spring carries the same load.
     """
     names = {"before": "before calibration", "simulated": "calibrated", "truth": "truth", **(names or {})}
     evidence = evidence or {}
@@ -125,7 +125,7 @@ def characteristics(
 def _reach(
     ranges: Sequence[tuple[float, float] | None], vehicles: Mapping[str, HasAxles], kind: str
 ) -> float:
-    """How far an axis goes: 15 % beyond what was excited, else the last point of any vehicle."""
+    """Limit of an axis: 15 % beyond the excited range, else the last point of any vehicle."""
     excited = [max(abs(r[0]), abs(r[1])) for r in ranges if r is not None]
     if excited:
         return 1.15 * max(excited)

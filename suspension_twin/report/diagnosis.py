@@ -113,7 +113,7 @@ def _in_time(view: DriveView, simulated: str, cut: slice = slice(None)) -> Figur
 
 
 def _bars(d: Document, lead: Document | None, channel: str, after: str) -> Html:
-    """The gap of the twin as given, recalibrated, and with what was found, as bars."""
+    """The gap of the twin as given, recalibrated, and with the named causes, as bars."""
     r = d["recalibration"]
     before = lead["gap_before"] if lead else r["gap_before"]
     rows = [("twin as given", before, "before")]
@@ -419,7 +419,7 @@ def _signature(s: Document) -> Section:
             f"many things have, no cause; with it the gap would shrink by {share}"
         )
     text = "\n".join(f"- {line}" for line in lines)
-    return Section("What remains unexplained looks like this", text, folded=True)
+    return Section("The unexplained gap", text, folded=True)
 
 
 def _method(d: Document) -> Section:

@@ -166,7 +166,7 @@ def test_every_verdict_has_a_page_without_stutter(repository, verdict):
         d["signature"] = {"channel": "roll_rate", **band, "resembles": []}
     html = diagnosis_page(result(repository, d)).render()
     assert not re.search(r"(no gap|unknown|partly): \1", html, re.IGNORECASE)
-    assert ("What remains unexplained looks like this" in html) == (verdict != "no_gap")
+    assert ("The unexplained gap" in html) == (verdict != "no_gap")
     assert "twin recalibrated" in html
 
 
