@@ -94,8 +94,8 @@ def demo_page(result: DemoResult) -> Page:
     page.add(
         Section(
             "Springs and dampers",
-            "Springs and dampers as identified from the bump alone. Springs are drawn over the travel from standstill: a "
-            "drive does not identify their free length. Outside the shaded range the drive did not move the struts: "
+            "Springs and dampers as identified from the bump alone. Springs are drawn over the travel from standstill: "
+            "a drive does not identify their free length. Outside the shaded range the drive did not move the struts: "
             "there the characteristics are extrapolated. The truth is known because the drive is simulated; the "
             "calibration did not see it.",
             drawn["characteristics"],
