@@ -341,7 +341,9 @@ def _diagnosed(
         write(replace(result, twin=_named_road(result.twin, road)), out)
     document = result.document
     fits = [
-        (d.position, d.measured - d.before, d.compared, d.rate) for d in result.drives if _vertical(d.channel)
+        (d.position, d.measured - d.simulated["before"], d.compared, d.rate)
+        for d in result.drives
+        if _vertical(d.channel)
     ]
     return {
         "message": result.message,
