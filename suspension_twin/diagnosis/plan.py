@@ -756,7 +756,8 @@ def next_experiment(case: Case, tied: Sequence[Candidate], answer: str, judged: 
         )
         return f"No manoeuvre of those that were simulated would separate {pair}. {shows}{tail}"
     why = " if there is a gap at all" if answer == "no_gap" else ""
-    worth = f"make the right one {np.exp(nats):.0f} times as likely as the other"
     if nats > np.log(1000.0):
         worth = "settle it"
+    else:
+        worth = f"make the right one {np.exp(nats):.0f} times as likely as the other"
     return f"Drive {name}: it separates {pair} best{why}; one pass should {worth}.{tail}"
