@@ -29,10 +29,10 @@ __all__ = [
     "DRIVES",
     "LEARNT",
     "UNSEEN",
+    "BundledDrive",
     "DemoResult",
     "Outcome",
     "Progress",
-    "Site",
     "run_demo",
     "written_files",
 ]
@@ -79,7 +79,7 @@ class Outcome:
 
 
 @dataclass(frozen=True, eq=False)
-class Site:
+class BundledDrive:
     """A bundled drive with its road and the datum of its map."""
 
     drive: Drive
@@ -93,7 +93,7 @@ class DemoResult:
     outcomes ``before`` and ``after`` calibration and of the ``truth``; the ``calibration`` with its ``history``."""
 
     twins: dict[str, Twin]
-    sites: dict[str, Site]
+    sites: dict[str, BundledDrive]
     before: dict[str, Outcome]
     after: dict[str, Outcome]
     truth: dict[str, Outcome]
@@ -112,7 +112,7 @@ def run_demo(bags: Path, out: Path, progress: Progress, *, seed: int = 0) -> Dem
     began = time.monotonic()
     start = {name: _settle_in(bags / name, out, name) for name in DRIVES}
     started = {name: load_twin(path) for name, path in start.items()}
-    sites = {name: _site(bags / name, twin) for name, twin in started.items()}
+    sites = {name: _bundled(bags / name, twin) for name, twin in started.items()}
     truths = {name: bags / name / "truth.yaml" for name in DRIVES}
     with session() as ros:
 
@@ -145,9 +145,9 @@ def run_demo(bags: Path, out: Path, progress: Progress, *, seed: int = 0) -> Dem
     return DemoResult(twins, sites, before, after, truth, calibration, history, time.monotonic() - began)
 
 
-def _site(bag: Path, twin: Twin) -> Site:
+def _bundled(bag: Path, twin: Twin) -> BundledDrive:
     assert twin.datum is not None
-    return Site(read_drive(bag), load_road(bag / "road.crg"), twin.datum)
+    return BundledDrive(read_drive(bag), load_road(bag / "road.crg"), twin.datum)
 
 
 def _reporting(
