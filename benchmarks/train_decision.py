@@ -11,8 +11,8 @@ is made by taking the rows of that effect away: its right answer is unknown. The
 
     -sum_i c_i log sum_(a right) p_a + ridge / 2 |w - w_0|^2
 
-with the prior means w_0 of ``FEATURES`` and under their signs; the classes cause, no gap and unknown have the weights
-of ``PRIOR``. All figures are of cases whose reality was left out of the learning; so is the conformal threshold.
+with the prior means w_0 of ``decision.json`` and under their signs; the classes cause, no gap and unknown have the
+weights of ``PRIOR``. All figures, and the conformal threshold, are of cases whose reality was left out of the learning.
 """
 
 from __future__ import annotations
@@ -31,7 +31,15 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from suspension_twin.diagnosis.decision import FEATURES, Answer, Costs, Weights, answers_of, decide
+from suspension_twin.diagnosis.decision import (
+    FEATURES,
+    Answer,
+    Costs,
+    Weights,
+    answers_of,
+    decide,
+    prior_means,
+)
 
 HERE = Path(__file__).resolve().parent
 KEPT = HERE / "results" / "evidence.jsonl.xz"
@@ -109,7 +117,7 @@ def fit(cases: Sequence[Example], ridge: float) -> np.ndarray:
     features = np.concatenate([c.features for c in cases])
     right = np.concatenate([c.right for c in cases])
     first = np.concatenate([[0], np.cumsum(size)[:-1]])
-    usual = np.array(list(FEATURES.values()))
+    usual = prior_means()
     of = np.repeat(np.arange(len(cases)), size)
 
     def objective(w: np.ndarray) -> tuple[float, np.ndarray]:
@@ -295,6 +303,21 @@ def _lean(evidence: dict[str, Any]) -> dict[str, Any]:
     return {**{k: v for k, v in evidence.items() if k != "twin"}, "base": base, "hypotheses": rows}
 
 
+def discrepancy(lines: Sequence[dict[str, Any]]) -> dict[str, float]:
+    """Residual of cars without any fault in the kept evidence, beside ``discrepancy`` of decision.json."""
+    faultless = [x["evidence"] for x in lines if x["label"]["kind"] == "null"]
+    squares = [
+        max(v for c, v in e["base"]["mean_squares"].items() if e["case"]["channels"][c]["driven"])
+        for e in faultless
+        if e["case"]["reference"]
+    ]
+    levels = [e["base"]["level_fitted"] for e in faultless if not e["case"]["reference"]]
+    largest = {
+        key: max(e["base"][key] for e in faultless if key in e["base"]) for key in ("tone", "band", "place")
+    }
+    return {"square": float(np.median(squares)), "level": float(np.median(levels)), **largest}
+
+
 def written(weights: np.ndarray, conformal: float, ridge: float, lines: Sequence[dict[str, Any]]) -> None:
     """decision.json, with where it comes from."""
     commit = subprocess.run(
@@ -302,6 +325,7 @@ def written(weights: np.ndarray, conformal: float, ridge: float, lines: Sequence
     )
     digest = hashlib.sha256("\n".join(json.dumps(x, sort_keys=True) for x in lines).encode()).hexdigest()
     document = {
+        **json.loads(FILE.read_text(encoding="utf-8")),  # prior means and discrepancy
         "weights": {name: round(float(w), 4) + 0.0 for name, w in zip(FEATURES, weights, strict=True)},
         "conformal_probability": round(conformal, 5),
         "source": {
@@ -341,8 +365,19 @@ def main() -> None:
     if options.write:
         written(fit(cases, ridge), conformal, ridge, lines)
     if options.json:
-        print(json.dumps({"cases": len(lines), "ridge": ridge, "losses": losses, **figures}))
+        print(
+            json.dumps(
+                {
+                    "cases": len(lines),
+                    "ridge": ridge,
+                    "losses": losses,
+                    "discrepancy": discrepancy(lines),
+                    **figures,
+                }
+            )
+        )
         return
+    print(f"residual of cars without any fault: {discrepancy(lines)}")
     print(f"{len(lines)} cases; ridge {ridge} of {losses}; conformal threshold {conformal:.4f}")
     for name, value in figures.items():
         if name not in ("rows", "by_effect"):

@@ -18,7 +18,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from suspension_twin.diagnosis.output import write
+from suspension_twin.diagnosis.answer import write
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.diagnosis.run import diagnose
 from suspension_twin.errors import SuspensionTwinError

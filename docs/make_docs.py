@@ -304,7 +304,7 @@ def effects() -> str:
 
 
 def _effect(e: Any) -> str:
-    from suspension_twin.diagnosis.hypotheses import DECOYS
+    from suspension_twin.diagnosis.library import DECOYS
 
     tables = table(_HEADS, [_parameter(p, p.name in e.severity) for p in e.parameters])
     for model, variant in e.variants.items():

@@ -125,9 +125,8 @@ def ask(folder: Path, answer: Path, seal: str, starter: Sequence[str] = ()) -> d
 def main(folder: Path, out: Path) -> None:
     """Diagnose with a part of the library."""
     sys.path.insert(0, str(ROOT))
-    from suspension_twin.diagnosis.hypotheses import DECOYS
-
-    from suspension_twin.diagnosis.output import write
+    from suspension_twin.diagnosis.answer import write
+    from suspension_twin.diagnosis.library import DECOYS
     from suspension_twin.diagnosis.request import DiagnosisRequest
     from suspension_twin.diagnosis.run import diagnose
     from suspension_twin.effects.registry import EFFECTS

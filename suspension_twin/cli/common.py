@@ -210,7 +210,7 @@ def print_diagnosis(document: Document, out: Path | None) -> None:
         console.print(remark)
     rows = [
         (
-            cause["effect"],
+            wording.effect_name(cause["effect"]),
             "; ".join(f"{name} {value}" for name, value in wording.parameters_of(cause)),
             wording.channel_name(wording.channel_of(document, cause)),
             f"{cause['probability']:.3f}",

@@ -99,7 +99,7 @@ def command(
     folder = out / ".state"
     page, *others = (out / name for name in ("report.html", "diagnosis.json", "evidence.json", "twin.yaml"))
     outputs = Outputs(*others, page, force=force, resumed_from=folder)
-    from suspension_twin.diagnosis.output import write
+    from suspension_twin.diagnosis.answer import write
     from suspension_twin.diagnosis.request import DiagnosisRequest
     from suspension_twin.diagnosis.run import diagnose
     from suspension_twin.inference.checkpoint import Checkpoint
@@ -144,8 +144,7 @@ def checked_effects(names: list[str] | None) -> tuple[str, ...]:
 
 def _anew(folder: Path, costs: Costs, out: Path | None, force: bool) -> None:
     """Decide anew from kept evidence; ``out`` receives diagnosis.json, and twin.yaml if the twin file still exists."""
-    from suspension_twin.diagnosis.answer import decided_anew
-    from suspension_twin.diagnosis.output import write_document
+    from suspension_twin.diagnosis.answer import decided_anew, write_document
     from suspension_twin.vehicle.twin import save_twin
 
     document, twin = decided_anew(folder, costs)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page that the demo leaves."""
+"""The page of the demo."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from scipy.ndimage import uniform_filter1d
 
 from suspension_twin.arrays import Floats
 from suspension_twin.demo.steps import DRIVES, LEARNT, UNSEEN, DemoResult, Outcome
+from suspension_twin.inference.observation import observe
 from suspension_twin.inference.space import twin_value
+from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.pose.local_map import LocalMap
 from suspension_twin.report import Cell, Page, Section, Table, plots
 from suspension_twin.report.characteristics import AxleEvidence, characteristics, force
@@ -21,7 +23,7 @@ from suspension_twin.signals.spectra import power_density
 __all__ = ["demo_page", "figures"]
 
 _CUTOFF = 20.0  # Hz, the nodes' default low-pass
-_WAVE = 4.0  # m, what is longer moves the car and not its struts
+_WAVE = 4.0  # m; longer waves move the car and not its struts
 _IDENTIFIED = Cell("yes", "good")
 _NOT_IDENTIFIED = Cell("no", "warn", "extrapolated from its neighbours, or kept at its start")
 
@@ -44,11 +46,11 @@ def demo_page(result: DemoResult) -> Page:
     page.add(
         Section(
             "The speed bump, in time",
-            "Vertical acceleration at the phone's place: what the phone measured, and what the twin felt when it was "
-            "pulled over the same road, its x, y and yaw locked to the car. Both went through the same low-pass; both "
-            "are what the nodes published while the drive was played.",
+            "Vertical acceleration at the phone's place, of the phone and of the twin's virtual sensor on the same "
+            "road, its x, y and yaw locked to the car. Both went through the same low-pass; both are as the nodes "
+            "published them while the drive was played.",
             drawn["bump_time"],
-            captions=["Three passes at 15 km/h. Below, what is left between car and twin."],
+            captions=["Three passes at 15 km/h. Below, the difference between car and twin."],
         )
     )
     page.add(
@@ -71,8 +73,8 @@ def demo_page(result: DemoResult) -> Page:
     page.add(
         Section(
             "Where the car was",
-            "The twin follows the real car's x, y and yaw; the line is what the pose injector made of the fixes "
-            "and the gyroscope. The fixes are the antenna's, which sits beside and ahead of the point that is locked.",
+            "The twin follows the real car's x, y and yaw; the line is the pose that the pose injector computes "
+            "from fixes and gyroscope. The fixes are of the antenna, which is beside and ahead of the locked point.",
             drawn["bump_map"],
             drawn["road_map"],
             captions=[
@@ -86,15 +88,15 @@ def demo_page(result: DemoResult) -> Page:
             "Where on the road the gap lies",
             "",
             drawn["road_residual"],
-            captions=["Rms of the gap in each metre of the unseen road; below, what the wheels met there."],
+            captions=["Rms of the gap in each metre of the unseen road; below, the road under the wheels."],
         )
     )
     page.add(
         Section(
             "Springs and dampers",
-            "What the calibration found from the bump alone. Springs are drawn over the travel from standstill: where "
-            "their free length lies no drive can tell. Outside the shaded range the drive did not move the struts, and "
-            "what is drawn there only goes on from within. The truth is known because the drive is simulated; the "
+            "Springs and dampers as identified from the bump alone. Springs are drawn over the travel from standstill: "
+            "a drive does not identify their free length. Outside the shaded range the drive did not move the struts: "
+            "there the characteristics are extrapolated. The truth is known because the drive is simulated; the "
             "calibration did not see it.",
             drawn["characteristics"],
         )
@@ -167,27 +169,29 @@ def _in_frequency(result: DemoResult, name: str) -> Figure:
     rate = 1.0 / float(np.median(np.diff(after.t)))
     grid = np.arange(t[0], t[-1], 1.0 / rate)
     measured, simulated = (np.interp(grid, after.t, x) for x in (after.measured, after.simulated))
-    before_there = np.interp(grid, before.t, before.simulated)
-    frequency, density = power_density(
-        np.column_stack([measured, simulated, before_there, measured - simulated]), rate, 4.0
-    )
-    roles = ("measured", "simulated", "before", "residual")
-    order = ("residual", "before", "measured", "simulated")
-    columns = dict(zip(roles, density.T, strict=True))
+    signals = {
+        "residual": measured - simulated,
+        "before": np.interp(grid, before.t, before.simulated),
+        "measured": measured,
+        "simulated": simulated,
+    }
+    frequency, density = power_density(np.column_stack(list(signals.values())), rate, 4.0)
     names = {
         "simulated": "twin, calibrated",
         "before": "twin as it started",
         "residual": "measured − calibrated",
     }
-    return plots.in_frequency(frequency, {r: columns[r] for r in order}, cutoff=_CUTOFF, names=names)
+    columns = dict(zip(signals, density.T, strict=True))
+    return plots.in_frequency(frequency, columns, cutoff=_CUTOFF, names=names)
 
 
 def _map(result: DemoResult, name: str) -> Figure:
     path = result.after[name].replay.path
     path = path[np.isfinite(path[:, 5])]
-    road, fix = result.roads[name], result.drives[name].fix
+    site = result.sites[name]
+    road, fix = site.road, site.drive.fix
     outline = np.column_stack(road.uv_to_xy(*_border(road.u, road.v)))
-    fixes = LocalMap(result.datums[name]).to_map(fix.latitude, fix.longitude, fix.altitude)[:, :2]
+    fixes = LocalMap(site.datum).to_map(fix.latitude, fix.longitude, fix.altitude)[:, :2]
     middle = road.x.size // 2
     heading = float(np.arctan2(road.y[middle + 1] - road.y[middle], road.x[middle + 1] - road.x[middle]))
     return plots.path_map(
@@ -210,7 +214,7 @@ def _border(u: Floats, v: Floats) -> tuple[Floats, Floats]:
 
 def _by_road(result: DemoResult, name: str) -> Figure:
     before, after = result.before[name], result.after[name]
-    road = result.roads[name]
+    road = result.sites[name].road
     difference = (after.replay.measured - after.replay.simulated)[after.compared]
     early = before.replay.measured - before.replay.simulated
     station = after.station[after.compared]
@@ -229,15 +233,30 @@ def _by_road(result: DemoResult, name: str) -> Figure:
     )
 
 
+def _excited(result: DemoResult) -> dict[str, AxleEvidence]:
+    """Travel from standstill and velocity of the calibrated twin's struts on the drive learnt from."""
+    twin, site = result.twins["simulated"], result.sites[LEARNT]
+    response = simulate_twin(twin, observe(site.drive, twin, site.road).road_excitation)
+    found = {}
+    for axle, own in twin.axles.items():
+        travel = response.deflection[:, own.columns] - own.static_compression
+        velocity = response.deflection_rate[:, own.columns]
+        found[axle] = AxleEvidence(
+            compression=(float(travel.min()), float(travel.max())),
+            velocity=(float(velocity.min()), float(velocity.max())),
+        )
+    return found
+
+
 def _characteristics(result: DemoResult) -> Figure:
-    spans = {axle: AxleEvidence(compression=c, velocity=v) for axle, (c, v) in result.excited.items()}
     vehicles = {role: result.twins[role].vehicle for role in ("before", "simulated", "truth")}
-    return characteristics(vehicles, evidence=spans, names={"before": "as it started"}, from_rest=True)
+    return characteristics(
+        vehicles, evidence=_excited(result), names={"before": "as it started"}, from_rest=True
+    )
 
 
 def _calibration(result: DemoResult, convergence: Figure | None) -> Section:
     answer = result.calibration
-    assert answer is not None
     rows: list[list[object]] = []
     for key, value in answer.values.items():
         _, axle, curve, name, index = (*key.split("."), "", "", "", "")[:5]
@@ -277,7 +296,7 @@ def _explain() -> str:
     return (
         "Root mean square of measured minus simulated vertical acceleration while the car moves, as the nodes "
         "published it; in brackets the mean square that the car paper counts. The true parameters leave a gap too: "
-        "the reality behind these drives has friction, tyre damping and a phone's noise that no twin knows of. "
+        "the reality behind these drives has friction, tyre damping and a phone's noise that no twin has. "
         "The paper's own figures on its road, 2.42 (IPG CarMaker) and 2.12 (Unity 3D), are of another car, road and "
         "recording, and cannot be compared with these."
     )

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The demo's work, step by step, without a word on the terminal: that is the caller's."""
+"""The steps of the demo. Nothing is printed here: the caller gets the progress."""
 
 from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
@@ -23,9 +23,19 @@ from suspension_twin.vehicle.twin import Datum, RoadFile, Twin, load_twin, save_
 
 if TYPE_CHECKING:
     from suspension_twin.calibration.request import Progress as CalibrationProgress
-    from suspension_twin.nodes.session import CalibrateAnswer, Replay, Session
+    from suspension_twin.nodes.session import CalibrateAnswer, Replay
 
-__all__ = ["DRIVES", "LEARNT", "UNSEEN", "DemoResult", "Outcome", "Progress", "run_demo", "written_files"]
+__all__ = [
+    "DRIVES",
+    "LEARNT",
+    "UNSEEN",
+    "BundledDrive",
+    "DemoResult",
+    "Outcome",
+    "Progress",
+    "run_demo",
+    "written_files",
+]
 
 #: Calibrated on the one, validated on the other.
 LEARNT, UNSEEN = "bump_15kmh", "crg_road"
@@ -36,7 +46,7 @@ _MOVING = 0.5  # m/s
 
 
 class Progress(Protocol):
-    """What a caller is told."""
+    """Receiver of the progress of a demo."""
 
     def begin(self, text: str) -> None:
         """A step begins."""
@@ -45,12 +55,12 @@ class Progress(Protocol):
         """So much of the step is done, 0 to 1."""
 
     def end(self, text: str) -> None:
-        """The step is over; what came out of it."""
+        """The step is over, with this result in words."""
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """One twin over one drive, live: ``replay``, what of it counts, and the gap there.
+    """One twin over one drive, live: the ``replay``, its compared samples, and the gap there.
 
     ``rms`` and ``measured_rms`` m/s² over the samples ``compared`` (n,), those in which the car
     moved and its heading was known; ``station`` (n,) m along the road of base_link.
@@ -68,21 +78,28 @@ class Outcome:
         return self.rms**2
 
 
-@dataclass(eq=False)
-class DemoResult:
-    """Everything that the page shows. ``before``, ``after`` and ``truth`` map drives to outcomes."""
+@dataclass(frozen=True, eq=False)
+class BundledDrive:
+    """A bundled drive with its road and the datum of its map."""
 
-    twins: dict[str, Twin]  # "before", "simulated" (calibrated), "truth"
-    datums: dict[str, Datum] = field(default_factory=dict)
-    drives: dict[str, Drive] = field(default_factory=dict)
-    roads: dict[str, Road] = field(default_factory=dict)
-    before: dict[str, Outcome] = field(default_factory=dict)
-    after: dict[str, Outcome] = field(default_factory=dict)
-    truth: dict[str, Outcome] = field(default_factory=dict)
-    excited: dict[str, tuple[tuple[float, float], tuple[float, float]]] = field(default_factory=dict)
-    history: list[CalibrationProgress] = field(default_factory=list)
-    calibration: CalibrateAnswer | None = None
-    seconds: float = 0.0
+    drive: Drive
+    road: Road
+    datum: Datum
+
+
+@dataclass(frozen=True, eq=False)
+class DemoResult:
+    """Result of a demo: ``twins`` "before", "simulated" (calibrated) and "truth"; by drive its ``sites`` and the
+    outcomes ``before`` and ``after`` calibration and of the ``truth``; the ``calibration`` with its ``history``."""
+
+    twins: dict[str, Twin]
+    sites: dict[str, BundledDrive]
+    before: dict[str, Outcome]
+    after: dict[str, Outcome]
+    truth: dict[str, Outcome]
+    calibration: CalibrateAnswer
+    history: list[CalibrationProgress]
+    seconds: float
 
 
 def run_demo(bags: Path, out: Path, progress: Progress, *, seed: int = 0) -> DemoResult:
@@ -94,46 +111,71 @@ def run_demo(bags: Path, out: Path, progress: Progress, *, seed: int = 0) -> Dem
 
     began = time.monotonic()
     start = {name: _settle_in(bags / name, out, name) for name in DRIVES}
-    twins = {"before": load_twin(start[LEARNT]), "truth": load_twin(bags / LEARNT / "truth.yaml")}
-    result = DemoResult(twins)
-    for name in DRIVES:
-        datum = load_twin(start[name]).datum
-        assert datum is not None
-        result.datums[name] = datum
-        result.drives[name] = read_drive(bags / name)
-        result.roads[name] = load_road(bags / name / "road.crg")
+    started = {name: load_twin(path) for name, path in start.items()}
+    sites = {name: _bundled(bags / name, twin) for name, twin in started.items()}
+    truths = {name: bags / name / "truth.yaml" for name in DRIVES}
     with session() as ros:
-        for name, title in DRIVES.items():
-            text = f"Live: {title}, starting twin"
-            result.before[name] = _live(ros, result, name, start[name], progress, text)
+
+        def live(name: str, twin: Path, which: str) -> Outcome:
+            when = "Held out" if name == UNSEEN and which == "calibrated twin" else "Live"
+            with _step(progress, f"{when}: {DRIVES[name]}, {which}") as done:
+                replay = ros.replay(sites[name].drive, twin, progress.share)
+                outcome = _outcome(name, replay, sites[name].road)
+                done.append(f"gap {outcome.rms:.2f} of {outcome.measured_rms:.2f} m/s²")
+            return outcome
+
+        before = {name: live(name, path, "starting twin") for name, path in start.items()}
         with _step(progress, "Calibrating on the speed bump by the action") as done:
-            answer = _calibrate(ros, result, start[LEARNT], bags / LEARNT, out / "twin.yaml", progress, seed)
-            done.append(f"{answer.evaluations} simulated candidates in {answer.wall:.0f} s")
-        result.calibration = answer
-        result.twins["simulated"] = load_twin(answer.output)
-        files = {LEARNT: answer.output, UNSEEN: out / f"twin_{UNSEEN}.yaml"}
-        _on_road(result.twins["simulated"], load_twin(start[UNSEEN]), files[UNSEEN])
-        for name, title in DRIVES.items():
-            text = f"{'Held out' if name == UNSEEN else 'Live'}: {title}, calibrated twin"
-            result.after[name] = _live(ros, result, name, files[name], progress, text)
-        for name, title in DRIVES.items():
-            text = f"Live: {title}, true parameters"
-            result.truth[name] = _live(ros, result, name, bags / name / "truth.yaml", progress, text)
-    result.excited = _excited(result)
-    result.seconds = time.monotonic() - began
-    return result
+            history: list[CalibrationProgress] = []
+            calibration = ros.calibrate(
+                start[LEARNT],
+                [bags / LEARNT],
+                out / "twin.yaml",
+                seed=seed,
+                on_progress=_reporting(progress, history),
+            )
+            done.append(f"{calibration.evaluations} simulated candidates in {calibration.wall:.0f} s")
+        calibrated = load_twin(calibration.output)
+        files = {LEARNT: calibration.output, UNSEEN: out / f"twin_{UNSEEN}.yaml"}
+        elsewhere = {"datum": started[UNSEEN].datum, "road": started[UNSEEN].road}
+        save_twin(calibrated.model_copy(update=elsewhere), files[UNSEEN])
+        after = {name: live(name, files[name], "calibrated twin") for name in DRIVES}
+        truth = {name: live(name, path, "true parameters") for name, path in truths.items()}
+    twins = {"before": started[LEARNT], "truth": load_twin(truths[LEARNT]), "simulated": calibrated}
+    return DemoResult(twins, sites, before, after, truth, calibration, history, time.monotonic() - began)
+
+
+def _bundled(bag: Path, twin: Twin) -> BundledDrive:
+    assert twin.datum is not None
+    return BundledDrive(read_drive(bag), load_road(bag / "road.crg"), twin.datum)
+
+
+def _reporting(
+    progress: Progress, history: list[CalibrationProgress]
+) -> Callable[[CalibrationProgress], None]:
+    """A callback of a calibration, which reports the progress and keeps it in ``history``."""
+    began = time.monotonic()
+
+    def report(found: CalibrationProgress) -> None:
+        history.append(found)
+        spent = time.monotonic() - began
+        share = spent / (spent + found.seconds_left) if np.isfinite(found.seconds_left) else 0.0
+        cost = f", cost {found.best_cost:.4g}" if np.isfinite(found.best_cost) else ""
+        progress.share(share, f"Calibrating: {found.stage}, generation {found.generation}{cost}")
+
+    return report
 
 
 @contextmanager
 def _step(progress: Progress, text: str) -> Iterator[list[str]]:
-    said: list[str] = []
+    results: list[str] = []
     progress.begin(text)
-    yield said
-    progress.end(said[-1] if said else "")
+    yield results
+    progress.end(results[-1] if results else "")
 
 
 def written_files(out: Path) -> list[Path]:
-    """What :func:`run_demo` leaves in ``out``."""
+    """Files that :func:`run_demo` leaves in ``out``."""
     names = ["twin", f"twin_{UNSEEN}", "start", f"start_{UNSEEN}", "twin.calibration"]
     return [*(out / f"{name}.yaml" for name in names), *(out / f"{name}.crg" for name in DRIVES)]
 
@@ -149,20 +191,6 @@ def _settle_in(bag: Path, out: Path, name: str) -> Path:
     start = out / ("start.yaml" if name == LEARNT else f"start_{name}.yaml")
     save_twin(twin.model_copy(update={"road": RoadFile(file=road.resolve())}), start)
     return start
-
-
-def _on_road(vehicle: Twin, place: Twin, path: Path) -> None:
-    """The vehicle of one twin, with its sensors, on the road of another."""
-    changes = {"datum": place.datum, "road": place.road}
-    save_twin(vehicle.model_copy(update=changes), path)
-
-
-def _live(ros: Session, result: DemoResult, name: str, twin: Path, progress: Progress, text: str) -> Outcome:
-    with _step(progress, text) as done:
-        replay = ros.replay(result.drives[name], twin, progress.share)
-        outcome = _outcome(name, replay, result.roads[name])
-        done.append(f"gap {outcome.rms:.2f} of {outcome.measured_rms:.2f} m/s²")
-    return outcome
 
 
 def _outcome(name: str, replay: Replay, road: Road) -> Outcome:
@@ -184,34 +212,3 @@ def _outcome(name: str, replay: Replay, road: Road) -> Outcome:
         rms=float(np.sqrt(np.mean(difference**2))),
         measured_rms=float(np.sqrt(np.mean(replay.measured[compared] ** 2))),
     )
-
-
-def _calibrate(
-    ros: Session, result: DemoResult, twin: Path, bag: Path, output: Path, progress: Progress, seed: int
-) -> CalibrateAnswer:
-    began = time.monotonic()
-
-    def heard(word: CalibrationProgress) -> None:
-        result.history.append(word)
-        spent = time.monotonic() - began
-        share = spent / (spent + word.seconds_left) if np.isfinite(word.seconds_left) else 0.0
-        cost = f", cost {word.best_cost:.4g}" if np.isfinite(word.best_cost) else ""
-        progress.share(share, f"Calibrating: {word.stage}, generation {word.generation}{cost}")
-
-    return ros.calibrate(twin, [bag], output, seed=seed, on_progress=heard)
-
-
-def _excited(result: DemoResult) -> dict[str, tuple[tuple[float, float], tuple[float, float]]]:
-    """Travel from standstill (m) and velocity (m/s) of the calibrated twin's struts on the drive learnt from."""
-    from suspension_twin.inference.observation import observe
-    from suspension_twin.models.simulate import simulate_twin
-
-    twin = result.twins["simulated"]
-    prepared = observe(result.drives[LEARNT], twin, result.roads[LEARNT])
-    response = simulate_twin(twin, prepared.road_excitation)
-    spans = {}
-    for axle, own in twin.axles.items():
-        travel = response.deflection[:, own.columns] - own.static_compression
-        rate = response.deflection_rate[:, own.columns]
-        spans[axle] = ((float(travel.min()), float(travel.max())), (float(rate.min()), float(rate.max())))
-    return spans

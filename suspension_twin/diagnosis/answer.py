@@ -1,28 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The answer as a pure function of the evidence: verdict, causes, candidates and the message of diagnosis.json."""
+"""The answer: verdict, causes, candidates and message of ``diagnosis.json`` by the evidence, and its files."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from suspension_twin.diagnosis import wording
-from suspension_twin.diagnosis.decision import Costs, Decision, Row, decide, usual_level
+from suspension_twin.diagnosis.decision import Costs, Decision, Json, decide, single, usual_level
+from suspension_twin.diagnosis.request import DiagnosisResult
 from suspension_twin.errors import InputError
-from suspension_twin.files import reading
-from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin
+from suspension_twin.files import reading, write_text
+from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin, save_twin
 
-__all__ = ["answer_of", "decided_anew", "leading_channel", "twin_with"]
+__all__ = ["answer_of", "decided_anew", "leading_channel", "write", "write_document"]
 
 #: Keys of diagnosis.json that a decision made anew keeps: they depend on the drives alone.
 _KEPT = ("where", "warnings", "next_experiment")
 
 
-def answer_of(evidence: Mapping[str, Any], decision: Decision) -> dict[str, Any]:
+def answer_of(evidence: Json, decision: Decision) -> Json:
     """The part of diagnosis.json that follows from the evidence.
 
     Parameters
@@ -30,14 +29,14 @@ def answer_of(evidence: Mapping[str, Any], decision: Decision) -> dict[str, Any]
     evidence : mapping
         Content of ``evidence.json``.
     decision : Decision
-        What was decided on it.
+        The decision on it.
     """
     case, base, rows = evidence["case"], evidence["base"], evidence["hypotheses"]
     main = next(iter(case["channels"]))
     kept = _written(decision.row if decision.row is not None else base)
     left = kept["channels"][main]["written"]
     verdict = _verdict(case, decision)
-    document: dict[str, Any] = {
+    document = {
         "verdict": verdict,
         "probability": round(_probability(decision), 6),
         "gap": {
@@ -69,12 +68,12 @@ def answer_of(evidence: Mapping[str, Any], decision: Decision) -> dict[str, Any]
     return document
 
 
-def leading_channel(row: Row) -> str:
+def leading_channel(row: Json) -> str:
     """The channel in which the shrink beyond recalibration is surest."""
     return str(max(row["channels"], key=lambda name: row["channels"][name]["low"]))
 
 
-def _verdict(case: Row, decision: Decision) -> str:
+def _verdict(case: Json, decision: Decision) -> str:
     """``effect`` where at most half of the leading channel's residual beyond the discrepancy stays, else ``partly``."""
     if decision.row is None:
         return "no_gap" if decision.chosen == () else "unknown"
@@ -97,14 +96,13 @@ def _probability(decision: Decision) -> float:
     return float(sum(p for a, p in pairs if a.causes == decision.chosen))
 
 
-def _causes(rows: list[Row], decision: Decision) -> list[dict[str, Any]]:
+def _causes(rows: list[Json], decision: Decision) -> list[Json]:
     """Every effect of the library, the most probable first; members of the named set with their joint parameters."""
-    singles = [r for r in rows if len(r["effects"]) == 1 and not r["decoy"]]
     together = _written(decision.row)["parameters"] if decision.row is not None else {}
     tied = [c[0] for c in decision.candidates if len(c) == 1 and c != ("unknown",)]
     causes = []
     for row in sorted(
-        singles,
+        filter(single, rows),
         key=lambda r: (-round(decision.effects[r["effects"][0]], 9), -r["tempered_gain"], r["effects"][0]),
     ):
         effect = row["effects"][0]
@@ -112,7 +110,7 @@ def _causes(rows: list[Row], decision: Decision) -> list[dict[str, Any]]:
         parameters = together.get(effect, row["parameters"][effect])
         channel = leading_channel(shown)
         beyond = shown["channels"][channel]
-        cause: dict[str, Any] = {
+        cause: Json = {
             "effect": effect,
             "probability": round(decision.effects[effect], 6),
             "parameters": {name: p["value"] for name, p in parameters.items()},
@@ -131,17 +129,17 @@ def _causes(rows: list[Row], decision: Decision) -> list[dict[str, Any]]:
     return causes
 
 
-def _judged(row: Row) -> bool:
+def _judged(row: Json) -> bool:
     """Whether the drives excite an effect enough, somewhere over its prior."""
     return bool(row.get("detectable", True))
 
 
-def _written(row: Row) -> Row:
+def _written(row: Json) -> Json:
     """A row as the twin file has it: refitted in the time steps of the drives."""
     return {**row, **row["refined"]} if "refined" in row else row
 
 
-def _shrink(one: Row) -> dict[str, Any]:
+def _shrink(one: Json) -> Json:
     return {
         "gap_before": one["before"],
         "gap_after": one["after"],
@@ -158,18 +156,7 @@ def _round(value: float) -> float:
     return float(f"{float(value):.6g}")
 
 
-def twin_with(given: Twin, row: Row) -> Twin:
-    """The twin of a row: its characteristics and effects in the twin file that was diagnosed."""
-    shown = _written(row)
-    twin = given.with_changes(shown["vehicle"])
-    specs = tuple(
-        EffectSpec(id=e, parameters={name: p["value"] for name, p in shown["parameters"][e].items()})
-        for e in shown.get("effects", ())
-    )
-    return twin.model_copy(update={"effects": (*given.effects, *specs), "road": given.road})
-
-
-def decided_anew(folder: Path, costs: Costs) -> tuple[dict[str, Any], Twin | None]:
+def decided_anew(folder: Path, costs: Costs) -> tuple[Json, Twin | None]:
     """The document of a kept diagnosis decided anew, and the twin file that goes with it.
 
     Parameters
@@ -191,24 +178,32 @@ def decided_anew(folder: Path, costs: Costs) -> tuple[dict[str, Any], Twin | Non
     """
     evidence, before = (_read(folder / name) for name in ("evidence.json", "diagnosis.json"))
     with reading(folder / "evidence.json", "evidence of a diagnosis"):
+        path = Path(evidence["twin"])
         decision = decide(evidence, costs)
         document = answer_of(evidence, decision)
+        row = evidence["base"] if decision.row is None else decision.row
+        twin = _twin_with(load_twin(path), row) if path.is_file() else None
     document |= {k: before[k] for k in _KEPT if k in before}
     if document["verdict"] in ("unknown", "partly") and "signature" in before:
         document["signature"] = before["signature"]
     if before.get("before_and_after"):
         document["before_and_after"] = True
     document["seed"], document["message"] = evidence["seed"], wording.message(document)
-    path = Path(evidence["twin"])
-    if not path.is_file():
-        return document, None
-    with reading(folder / "evidence.json", "evidence of a diagnosis"):
-        return document, twin_with(
-            load_twin(path), evidence["base"] if decision.row is None else decision.row
-        )
+    return document, twin
 
 
-def _read(path: Path) -> dict[str, Any]:
+def _twin_with(given: Twin, row: Json) -> Twin:
+    """The twin of a row: its characteristics and effects in the twin file that was diagnosed."""
+    shown = _written(row)
+    twin = given.with_changes(shown["vehicle"])
+    specs = tuple(
+        EffectSpec(id=e, parameters={name: p["value"] for name, p in shown["parameters"][e].items()})
+        for e in shown.get("effects", ())
+    )
+    return twin.model_copy(update={"effects": (*given.effects, *specs), "road": given.road})
+
+
+def _read(path: Path) -> Json:
     if not path.is_file():
         raise InputError(str(path.parent), f"holds no {path.name}: it is no folder of a diagnosis")
     with reading(path, "a file of a diagnosis"):
@@ -216,3 +211,16 @@ def _read(path: Path) -> dict[str, Any]:
     if not isinstance(found, dict):
         raise InputError(str(path), "is no diagnosis")
     return found
+
+
+def write(result: DiagnosisResult, folder: Path) -> None:
+    """Write ``diagnosis.json``, ``evidence.json`` and ``twin.yaml`` to ``folder``, which is made."""
+    write_text(folder / "evidence.json", json.dumps(result.evidence, allow_nan=False) + "\n")
+    write_document(result.document, folder)
+    save_twin(result.twin, folder / "twin.yaml")
+
+
+def write_document(document: Json, folder: Path) -> None:
+    """Write ``diagnosis.json`` to ``folder``."""
+    text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
+    write_text(folder / "diagnosis.json", text + "\n")

@@ -15,20 +15,21 @@ from suspension_twin.diagnosis import wording
 from suspension_twin.diagnosis.answer import answer_of, leading_channel
 from suspension_twin.diagnosis.case import Case
 from suspension_twin.diagnosis.decision import Decision, decide
-from suspension_twin.diagnosis.experiment import next_experiment
 from suspension_twin.diagnosis.features import add_intervals, evidence_of, refined_row
 from suspension_twin.diagnosis.judge import Candidate, Judged, candidate
 from suspension_twin.diagnosis.library import NUISANCE_COUNTERPART, library
-from suspension_twin.diagnosis.local_road_error import (
+from suspension_twin.diagnosis.plan import next_experiment
+from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, DriveView
+from suspension_twin.diagnosis.shrink import RemainingResidual
+from suspension_twin.diagnosis.where import (
     concentrated_section,
+    localise,
     no_concentration,
     no_road_error,
     road_error_matches,
+    signature,
+    strongest_tone,
 )
-from suspension_twin.diagnosis.localisation import localise, signature
-from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, DriveView
-from suspension_twin.diagnosis.shrink import RemainingResidual
-from suspension_twin.diagnosis.tonal import strongest_tone
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.inference.cross_validation import evidence
 from suspension_twin.inference.fit import LONG, fitted, twin_of
@@ -76,7 +77,7 @@ def conclude(request: DiagnosisRequest, case: Case, judged: Judged, seconds: flo
     document["seed"], document["message"] = request.seed, wording.message(document)
     main = judged.problem.channels[0]
     closing = main if decision.row is None else leading_channel(decision.row)
-    views = _views(judged.problem, case.twin, twin, recalibrated, closing)
+    views = _views(judged.problem, case.twin, twin, closing)
     return DiagnosisResult(document, twin, views, seconds, case.warnings, rows)
 
 
@@ -182,23 +183,25 @@ def _resembles(decision: Decision) -> list[dict[str, Any]]:
     return sorted(like, key=lambda one: -float(str(one["probability"])))
 
 
-def _views(
-    problem: Problem, given: Twin, after: Twin, recalibrated: Twin, channel: str
-) -> tuple[DriveView, ...]:
-    """One channel of every drive with the gap, by the twin as given, recalibrated, and with the named effects."""
+def _views(problem: Problem, given: Twin, after: Twin, channel: str) -> tuple[DriveView, ...]:
+    """One channel of every drive with the gap, by the twin as given and with the named effects."""
     data, views = problem.data, []
     for part, rows, drive in zip(data.parts, data.rows, data.drive_of, strict=True):
         if not data.active[drive]:
             continue
-        first, second, third = (
-            _simulated(problem, part, twin, channel) for twin in (given, recalibrated, after)
-        )
+        before, found = (_simulated(problem, part, twin, channel) for twin in (given, after))
         compared = np.zeros(part.t.size, dtype=bool)
         compared[rows] = True
-        measured = part.measured[channel]
         views.append(
             DriveView(
-                part.name, part.t, part.position, part.rate, measured, first, second, third, compared, channel
+                name=part.name,
+                channel=channel,
+                rate=part.rate,
+                t=part.t,
+                position=part.position,
+                measured=part.measured[channel],
+                simulated={"before": before, "after": found},
+                compared=compared,
             )
         )
     return tuple(views)

@@ -31,66 +31,77 @@ __all__ = [
     "Answer",
     "Costs",
     "Decision",
-    "Row",
+    "Json",
     "Weights",
     "answers_of",
     "decide",
     "learnt",
+    "prior_means",
+    "single",
     "usual_level",
 ]
 
-Row = dict[str, Any]
+Json = dict[str, Any]
+"""A JSON object: a document, or a row of evidence."""
 
 #: Version of the rows of ``evidence.json``: others are refused.
 FORMAT = 1
-#: Features by name and the prior mean of their weight. Physics dictates the sign, which learning keeps; 0 is free.
-#: What speaks as clearly as a few nats has a weight of a few. Features that did not lower the loss on realities left
-#: out of the learning were dropped.
-FEATURES: Mapping[str, float] = {
-    # of a cause or a set
-    "number": -1.0,  # log of the number of effects in the library: they share the prior
-    "gain": 0.5,  # evidence over recalibration
-    "margin": 0.5,  # evidence over the next best
-    "shrink": 1.0,  # beyond recalibration, in the best driven channel
-    "proven": 2.0,  # lower end of the shrink beyond recalibration in the best channel
-    "throughout": 1.0,  # lower end of that shrink in the worst driven channel
-    "chance": -0.5,  # share of the gain in the fit that is lost on held-out road
-    "tone": 0.5,  # log of the fall of the strongest tone
-    "explained": 2.0,  # share of the residual beyond the expected discrepancy
-    "complete": 1.0,  # share of what any hypothesis removes
-    "excess": -1.0,  # what remains beside the expected discrepancy
-    "above_reference": -1.0,  # log of what remains over what remains on the reference
-    "lost": -2.0,  # growth of the gap in another channel
-    "usual": -1.0,  # as small as errors of twin files are
-    "far": -0.5,  # beyond its prior
-    "bound": -0.5,  # on a bound
-    "size": -2.0,  # effects beyond the first
-    "added": 0.7,  # evidence over the best smaller set
-    "added_proven": 2.0,  # lower end of the shrink that each of its effects adds
+#: Features of the answers and their meaning. Features that did not lower the loss on realities left out of the learning
+#: were dropped. Their weights, with prior means whose sign physics dictates, are in ``decision.json``.
+FEATURES: Mapping[str, str] = {
+    # of a cause or a set of causes
+    "number": "log of the number of effects in the library, which share the prior",
+    "gain": "evidence over recalibration",
+    "margin": "evidence over the next best",
+    "shrink": "shrink beyond recalibration, in the best driven channel",
+    "proven": "lower end of the shrink beyond recalibration, in the best channel",
+    "throughout": "lower end of that shrink in the worst driven channel",
+    "chance": "share of the gain in the fit that is lost on held-out road",
+    "tone": "log of the fall of the strongest tone",
+    "explained": "share of the residual beyond the expected discrepancy",
+    "complete": "reduction of the residual over the largest by any hypothesis",
+    "excess": "log of the remaining residual over that of a complete model, times the unexplained share",
+    "above_reference": "log of the remaining residual over that on the reference",
+    "lost": "growth of the gap in another channel",
+    "usual": "as small as errors of twin files are",
+    "far": "distance of its parameters beyond their prior",
+    "bound": "whether a parameter is on a bound",
+    "size": "effects beyond the first",
+    "added": "evidence over the best smaller set",
+    "added_proven": "lower end of the shrink that each of its effects adds",
     # of no gap
-    "none_excess": -3.0,
-    "none_above_reference": -1.0,
-    "none_gain": -1.0,  # evidence of the best hypothesis that is larger than usual errors of twin files
-    "none_pattern": -1.0,
-    "none_clocks": -1.0,
+    "none_excess": "log of the remaining residual over that of a complete model",
+    "none_above_reference": "log of the remaining residual over that on the reference",
+    "none_gain": "evidence of the best hypothesis that is larger than usual errors of twin files",
+    "none_pattern": "tone, band and place beyond those of model discrepancy",
+    "none_clocks": "clock offsets near their bounds",
     # of unknown
-    "unknown": -1.0,
-    "unknown_blind": 0.0,
-    "unknown_best_excess": 1.0,  # what the best cause leaves
-    "unknown_above_reference": 1.0,  # the least that any hypothesis leaves over what remains on the reference
-    "unknown_open": 0.3,  # evidence of the best set over the best single effect
+    "unknown": "a constant",
+    "unknown_blind": "no reference",
+    "unknown_best_excess": "log of the remaining residual of the best cause over that of a complete model",
+    "unknown_above_reference": "log of the least remaining residual of any hypothesis over that on the reference",
+    "unknown_open": "evidence of the best set over the best single effect",
 }
-#: Held-out mean square in units of the noise model of the reference, and residual as a share of the motion without a
-#: reference, that a complete model leaves: medians over cars without any fault.
-_USUAL_SQUARE, _USUAL_LEVEL = 1.5, 0.14
-#: Values of a tone's prominence, a band's unevenness and a place's concentration that model discrepancy reaches on
-#: cars and roads without any error: their largest.
-_USUAL_TONE, _USUAL_BAND, _USUAL_PLACE = 10.0, 2.7, 0.27
 #: Severity over the usual error of a twin file up to which an effect is as small as such errors are: half a standard
 #: deviation beyond one.
 _USUAL_RATIO = 1.5
-#: Name of the file with the weights.
-_FILE = Path(__file__).with_name("decision.json")
+
+
+@cache
+def _file() -> Json:
+    """Content of ``decision.json``, which ``benchmarks/train_decision.py --write`` makes.
+
+    ``discrepancy`` is the residual of cars without any fault: the median of its held-out mean ``square`` in units of
+    the noise model of the reference, and of its ``level`` as a share of the motion; the largest prominence of a
+    ``tone``, unevenness of a ``band`` and concentration on a ``place``.
+    """
+    known: Json = json.loads(Path(__file__).with_name("decision.json").read_text(encoding="utf-8"))
+    return known
+
+
+def _usual(name: str) -> float:
+    """A figure of the model discrepancy of cars without any fault."""
+    return float(_file()["discrepancy"][name])
 
 
 @dataclass(frozen=True)
@@ -108,7 +119,7 @@ class Costs:
 
     @classmethod
     def parsed(cls, text: str) -> Costs:
-        """From ``wrong=4,missed=1``; InputError names what is not one of them or no positive number."""
+        """From ``wrong=4,missed=1``; InputError names a cost that is unknown or no positive number."""
         known = {f.name for f in fields(cls)}
         given: dict[str, float] = {}
         for item in filter(None, (i.strip() for i in text.split(","))):
@@ -137,23 +148,26 @@ class Costs:
 
 @dataclass(frozen=True, eq=False)
 class Weights:
-    """What was learnt: ``values`` (F,) by feature, the smallest probability of a member of a conformal set, and where
-    all of it comes from."""
+    """Learnt ``values`` (F,) by feature, the smallest probability of a member of a ``conformal`` set, and the
+    ``source`` of both: command, cases, seeds, commit."""
 
     values: Floats
     conformal: float
-    source: Mapping[str, Any]
+    source: Json
 
 
-@cache
 def learnt() -> Weights:
     """The weights that ship with the package."""
-    known = json.loads(_FILE.read_text(encoding="utf-8"))
-    return Weights(
-        np.array([known["weights"].get(name, 0.0) for name in FEATURES]),
-        float(known["conformal_probability"]),
-        known["source"],
-    )
+    known = _file()
+    return Weights(_vector(known["weights"]), float(known["conformal_probability"]), known["source"])
+
+
+def prior_means() -> Floats:
+    """(F,) prior means of the weights. Learning keeps their signs, which physics dictates; 0 leaves the sign free.
+
+    Evidence of a few nats has a weight of a few.
+    """
+    return _vector(_file()["prior_means"])
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +178,7 @@ class Answer:
     """
 
     causes: tuple[str, ...]
-    row: Row | None
+    row: Json | None
     features: Floats
 
 
@@ -177,16 +191,14 @@ class Decision:
     answers: list[Answer]
     probability: Floats
     chosen: tuple[str, ...]
-    row: Row | None
+    row: Json | None
     effects: dict[str, float]
     no_gap: float
     unknown: float
     candidates: list[tuple[str, ...]]
 
 
-def decide(
-    evidence: Mapping[str, Any], costs: Costs | None = None, weights: Weights | None = None
-) -> Decision:
+def decide(evidence: Json, costs: Costs | None = None, weights: Weights | None = None) -> Decision:
     """The verdict of least expected cost.
 
     Parameters
@@ -217,66 +229,46 @@ def decide(
     masses: dict[tuple[str, ...], float] = {}
     for answer, p in zip(answers, probability, strict=True):
         masses[answer.causes] = masses.get(answer.causes, 0.0) + float(p)
-    effects = {
-        r["effects"][0]: 0.0 for r in evidence["hypotheses"] if not r["decoy"] and len(r["effects"]) == 1
-    }
+    effects = {r["effects"][0]: 0.0 for r in evidence["hypotheses"] if single(r)}
     for causes, p in masses.items():
-        if causes and causes != ("unknown",):
-            for effect in causes:
-                effects[effect] = effects.get(effect, 0.0) + p / len(causes)
+        for effect in causes if causes != ("unknown",) else ():
+            effects[effect] = effects.get(effect, 0.0) + p / len(causes)
     rows = {a.causes: a.row for a in answers if a.row is not None and not a.row["decoy"]}
-    allowed = [(), ("unknown",), *(c for c, r in rows.items() if shrinks(r))]
+    allowed = [(), ("unknown",), *(c for c, r in rows.items() if _shrinks(r))]
     # costs are compared to twelve digits, so that a tie falls to the first
     expected = [round(sum(p * costs.of(said, true) for true, p in masses.items()), 12) for said in allowed]
     chosen = allowed[int(np.argmin(expected))]
     ranked = sorted(masses, key=lambda c: -masses[c])
     candidates = [c for c in ranked if masses[c] >= known.conformal] or ranked[:1]
-    return Decision(
-        answers,
-        probability,
-        chosen,
-        rows.get(chosen),
-        effects,
-        masses[()],
-        masses[("unknown",)],
-        candidates,
-    )
+    row, none, unknown = rows.get(chosen), masses[()], masses[("unknown",)]
+    return Decision(answers, probability, chosen, row, effects, none, unknown, candidates)
 
 
-def shrinks(row: Row) -> bool:
+def single(row: Json) -> bool:
+    """Whether a row is that of one effect of the library, no decoy."""
+    return len(row["effects"]) == 1 and not row["decoy"]
+
+
+def _shrinks(row: Json) -> bool:
     """Whether the shrink beyond recalibration has, in some channel, an interval that excludes zero."""
     return any(c["low"] > 0.0 for c in row["channels"].values())
 
 
-def answers_of(evidence: Mapping[str, Any]) -> list[Answer]:
+def answers_of(evidence: Json) -> list[Answer]:
     """All possible answers with their features: no gap, unknown, and every hypothesis."""
     if evidence.get("format") != FORMAT:
         raise InputError(
             "evidence.json", f"is of format {evidence.get('format')}, not {FORMAT}: diagnose again"
         )
-    case, base = evidence["case"], evidence["base"]
-    # a set with an effect that may add nothing, or that is as small as errors of twin files, is no answer of its own
-    rows = [
-        r
-        for r in evidence["hypotheses"]
-        if len(r["effects"]) == 1
-        or (r["added_low"] > 0.0 and (r["usual"] is None or r["usual"] > _USUAL_RATIO))
-    ]
-    if case["kind"] == "planar":
-        # the few set-up errors occur together: a part of the set that none can be taken out of is no rival
-        joint = [set(r["effects"]) for r in rows if len(r["effects"]) > 1]
-        rows = [r for r in rows if not any(set(r["effects"]) < whole for whole in joint)]
-    # what a request leaves out of the library may be the cause as well: that is "unknown"
-    number = max(case.get("library", 0), sum(len(r["effects"]) == 1 and not r["decoy"] for r in rows), 1)
+    case, base, rows = evidence["case"], evidence["base"], _rivals(evidence)
     gains = [_gain(r, base.get("since")) for r in rows]
-    unusual = [g for g, r in zip(gains, rows, strict=True) if r["usual"] is None or r["usual"] > _USUAL_RATIO]
-    best = max(rows, key=lambda r: _explained(case, base, r), default=base)
+    unusual = [g for g, r in zip(gains, rows, strict=True) if _unusual(r)]
     singles = [g for g, r in zip(gains, rows, strict=True) if len(r["effects"]) == 1]
-    most, least = _square(case, base), min(_square(case, r) for r in (base, *rows))
+    best = max(rows, key=lambda r: _explained(case, base, r), default=base)
     none = {
         "none_excess": _excess(case, base),
         "none_above_reference": _above_reference(case, base),
-        "none_gain": _nats(max([0.0, *unusual])),
+        "none_gain": _compressed(max([0.0, *unusual])),
         "none_pattern": _pattern(base),
         "none_clocks": _clocks(base),
     }
@@ -285,60 +277,93 @@ def answers_of(evidence: Mapping[str, Any]) -> list[Answer]:
         "unknown_blind": float(not case["reference"]),
         "unknown_best_excess": min(_excess(case, best), _excess(case, base)),
         "unknown_above_reference": min(_above_reference(case, r) for r in (rows or [base])),
-        "unknown_open": _nats(max([0.0, *gains]) - max([0.0, *singles])),
+        "unknown_open": _compressed(max([0.0, *gains]) - max([0.0, *singles])),
     }
     found = [Answer((), None, _vector(none)), Answer(("unknown",), None, _vector(unknown))]
-    for i, row in enumerate(rows):
-        own = set(row["effects"])
-        # a hypothesis is nested in one of more effects: neither is a rival of the other
-        rivals = [
-            g
-            for g, r in zip(gains, rows, strict=True)
-            if not (own <= set(r["effects"]) or set(r["effects"]) < own)
-        ]
-        explained = _explained(case, base, row)
-        driven = [c for name, c in row["channels"].items() if case["channels"][name]["driven"]]
-        usual = _USUAL_RATIO if row["usual"] is None else max(row["usual"], 1e-3)
-        parameters = [p for values in row["parameters"].values() for p in values.values()]
+    # an effect that a request leaves out of the library may be the cause as well: that is "unknown"
+    number = max(case.get("library", 0), sum(map(single, rows)), 1)
+    most, least = _square(case, base), min(_square(case, r) for r in (base, *rows))
+    for row, gain in zip(rows, gains, strict=True):
         values = {
             "number": float(np.log(number)),
-            "gain": _nats(gains[i]),
-            "margin": _nats(gains[i] - max([0.0, *rivals])),
-            "shrink": float(np.clip(max((c["shrink"] for c in driven), default=0.0), 0.0, 1.0)),
-            "proven": float(np.clip(max(c["low"] for c in row["channels"].values()), 0.0, 1.0)),
-            "throughout": float(np.clip(min((c["low"] for c in driven), default=0.0), -1.0, 1.0)),
-            "chance": float(np.clip(1.0 - row["gain"] / max(row["gain_fitted"], 1e-9), 0.0, 2.0)),
-            "tone": _hushed(base, row),
-            "explained": explained,
             "complete": max(most - _square(case, row), 0.0) / (most - least) if most > least else 0.0,
-            "excess": _excess(case, row) * (1.0 - explained),
-            "above_reference": _above_reference(case, row),
-            "lost": _lost(case, row),
-            "usual": float(np.clip(np.log(_USUAL_RATIO / usual), 0.0, 3.0)),
-            "far": max([0.0, *(p.get("far", 0.0) - 2.0 for p in parameters)]),
-            "bound": float(any(p.get("bound") for p in parameters)),
+            **_of_cause(case, base, row),
+            **_of_rivalry(case, row, gain, list(zip(rows, gains, strict=True))),
         }
-        if len(own) > 1:
-            smaller = [g for g, r in zip(gains, rows, strict=True) if set(r["effects"]) < own]
-            values["size"] = float(len(own) - 1) * (case["kind"] != "planar")
-            values["added"] = _nats(gains[i] - max([0.0, *smaller]))
-            values["added_proven"] = float(np.clip(row.get("added_low", 0.0), 0.0, 1.0))
-        causes = ("unknown",) if row["decoy"] else tuple(sorted(own))
+        causes = ("unknown",) if row["decoy"] else tuple(sorted(row["effects"]))
         found.append(Answer(causes, row, _vector(values)))
     return found
 
 
-def _nats(gain: float) -> float:
+def _rivals(evidence: Json) -> list[Json]:
+    """Rows that are answers of their own.
+
+    A set with an effect that may add nothing, or that is as small as errors of twin files, is none. Without a road the
+    few set-up errors occur together: a part of the set that none can be taken out of is no rival.
+    """
+    rows = [
+        r for r in evidence["hypotheses"] if len(r["effects"]) == 1 or (r["added_low"] > 0.0 and _unusual(r))
+    ]
+    if evidence["case"]["kind"] == "planar":
+        joint = [set(r["effects"]) for r in rows if len(r["effects"]) > 1]
+        rows = [r for r in rows if not any(set(r["effects"]) < whole for whole in joint)]
+    return rows
+
+
+def _unusual(row: Json) -> bool:
+    """Whether an effect is larger than usual errors of twin files."""
+    return row["usual"] is None or row["usual"] > _USUAL_RATIO
+
+
+def _of_cause(case: Json, base: Json, row: Json) -> dict[str, float]:
+    """Features of a cause by its own row."""
+    explained = _explained(case, base, row)
+    driven = [c for name, c in row["channels"].items() if case["channels"][name]["driven"]]
+    usual = _USUAL_RATIO if row["usual"] is None else max(row["usual"], 1e-3)
+    parameters = [p for values in row["parameters"].values() for p in values.values()]
+    return {
+        "shrink": float(np.clip(max((c["shrink"] for c in driven), default=0.0), 0.0, 1.0)),
+        "proven": float(np.clip(max(c["low"] for c in row["channels"].values()), 0.0, 1.0)),
+        "throughout": float(np.clip(min((c["low"] for c in driven), default=0.0), -1.0, 1.0)),
+        "chance": float(np.clip(1.0 - row["gain"] / max(row["gain_fitted"], 1e-9), 0.0, 2.0)),
+        "tone": _fall_of_tone(base, row),
+        "explained": explained,
+        "excess": _excess(case, row) * (1.0 - explained),
+        "above_reference": _above_reference(case, row),
+        "lost": _lost(case, row),
+        "usual": float(np.clip(np.log(_USUAL_RATIO / usual), 0.0, 3.0)),
+        "far": max([0.0, *(p.get("far", 0.0) - 2.0 for p in parameters)]),
+        "bound": float(any(p.get("bound") for p in parameters)),
+    }
+
+
+def _of_rivalry(case: Json, row: Json, gain: float, others: list[tuple[Json, float]]) -> dict[str, float]:
+    """Features of a cause beside the ``others``, rows with their gains.
+
+    A hypothesis is nested in one of more effects: neither is a rival of the other.
+    """
+    own = set(row["effects"])
+    rivals = [g for r, g in others if not (own <= set(r["effects"]) or set(r["effects"]) < own)]
+    values = {"gain": _compressed(gain), "margin": _compressed(gain - max([0.0, *rivals]))}
+    if len(own) > 1:
+        smaller = [g for r, g in others if set(r["effects"]) < own]
+        values["size"] = float(len(own) - 1) * (case["kind"] != "planar")
+        values["added"] = _compressed(gain - max([0.0, *smaller]))
+        values["added_proven"] = float(np.clip(row.get("added_low", 0.0), 0.0, 1.0))
+    return values
+
+
+def _compressed(gain: float) -> float:
     """Evidence as it counts: below a nat in proportion, above by its logarithm, because simulations that are wrong in
     the same way gain hundreds of nats alike."""
     return float(np.arcsinh(gain))
 
 
-def _vector(values: Mapping[str, float]) -> Floats:
+def _vector(values: Json) -> Floats:
     return np.array([float(values.get(name, 0.0)) for name in FEATURES])
 
 
-def _gain(row: Row, base_since: float | None) -> float:
+def _gain(row: Json, base_since: float | None) -> float:
     """Nats over recalibration, marginal over a vehicle with and without pre-existing effects."""
     own = float(row["tempered_gain"])
     if base_since is None:
@@ -347,55 +372,56 @@ def _gain(row: Row, base_since: float | None) -> float:
     return float(np.logaddexp(own, beyond) - np.logaddexp(0.0, base_since))
 
 
-def usual_level(case: Row) -> float:
+def usual_level(case: Json) -> float:
     """Residual as a share of the motion that a complete model leaves: that on the reference, or the usual one."""
-    return float(case["level_on_reference"] if case["reference"] else _USUAL_LEVEL)
+    return float(case["level_on_reference"] if case["reference"] else _usual("level"))
 
 
-def _excess(case: Row, row: Row) -> float:
-    """Log of the remaining residual over what a complete model leaves, and over the noise; 0 where it is less."""
-    main = next(c for c in case["channels"].values())
+def _driven_squares(case: Json, row: Json) -> list[float]:
+    """Held-out mean squares of the driven channels in units of the noise model of the reference."""
+    return [v for c, v in row["mean_squares"].items() if case["channels"][c]["driven"]]
+
+
+def _excess(case: Json, row: Json) -> float:
+    """Log of the remaining residual over that of a complete model, and over the noise; 0 where it is less."""
+    main, level = next(iter(case["channels"].values())), max(row["level_fitted"], 1e-3)
     if case["reference"]:
-        driven = [v for c, v in row["mean_squares"].items() if case["channels"][c]["driven"]]
-        over = 0.5 * np.log(max([1e-9, *driven]) / _USUAL_SQUARE)
+        over = 0.5 * np.log(max([1e-9, *_driven_squares(case, row)]) / _usual("square"))
     else:
-        over = np.log(max(row["level_fitted"], 1e-3) / _USUAL_LEVEL)
-    noisy = np.log(max(row["level_fitted"], 1e-3) * main["motion"] / (2.0 * main["noise"]))
+        over = np.log(level / _usual("level"))
+    noisy = np.log(level * main["motion"] / (2.0 * main["noise"]))
     return float(np.clip(min(over, noisy), 0.0, 3.0))
 
 
-def _above_reference(case: Row, row: Row) -> float:
+def _above_reference(case: Json, row: Json) -> float:
     """Log of the held-out residual, as a share of the motion, over that on the reference; 0 where it is less."""
     if not case["reference"]:
         return 0.0
     return float(np.clip(np.log(max(row["level"], 1e-3) / max(case["level_on_reference"], 1e-3)), 0.0, 3.0))
 
 
-def _explained(case: Row, base: Row, row: Row) -> float:
+def _explained(case: Json, base: Json, row: Json) -> float:
     """Share of the residual beyond the expected discrepancy that a hypothesis explains, of the mean square.
 
     A mean square m counts as m^2 / (m + m_0) beside the expected m_0: about m where it is larger, little where it is
     smaller.
     """
 
-    def beyond(one: Row) -> float:
+    def beyond(one: Json) -> float:
         if case["reference"]:
-            squares = one["mean_squares"].items()
-            return float(sum(v**2 / (v + _USUAL_SQUARE) for c, v in squares if case["channels"][c]["driven"]))
+            return float(sum(v**2 / (v + _usual("square")) for v in _driven_squares(case, one)))
         square = one["level_fitted"] ** 2
-        return float(square**2 / (square + _USUAL_LEVEL**2))
+        return float(square**2 / (square + _usual("level") ** 2))
 
     return float(np.clip(1.0 - beyond(row) / max(beyond(base), 1e-12), 0.0, 1.0))
 
 
-def _square(case: Row, row: Row) -> float:
+def _square(case: Json, row: Json) -> float:
     """Mean square of the remaining residual: in units of the noise model of the reference, or of the motion."""
-    if not case["reference"]:
-        return float(row["level_fitted"] ** 2)
-    return float(sum(v for c, v in row["mean_squares"].items() if case["channels"][c]["driven"]))
+    return float(sum(_driven_squares(case, row)) if case["reference"] else row["level_fitted"] ** 2)
 
 
-def _lost(case: Row, row: Row) -> float:
+def _lost(case: Json, row: Json) -> float:
     """Largest relative growth of the gap in a driven channel, where it is above the noise."""
     lost = [
         -c["worst"]
@@ -405,26 +431,22 @@ def _lost(case: Row, row: Row) -> float:
     return float(np.clip(max([0.0, *lost]), 0.0, 2.0))
 
 
-def _pattern(row: Row) -> float:
-    """By how much tone, band and place exceed what model discrepancy has, as a sum of logarithms."""
+def _pattern(row: Json) -> float:
+    """By how much tone, band and place exceed those of model discrepancy, as a sum of logarithms."""
     if "tone" not in row:
         return 0.0
-    over = (
-        np.log(max(row["tone"], 1e-3) / _USUAL_TONE),
-        np.log(max(row["band"], 1e-3) / _USUAL_BAND),
-        np.log(max(row["place"], 1e-3) / _USUAL_PLACE),
-    )
+    over = (np.log(max(row[name], 1e-3) / _usual(name)) for name in ("tone", "band", "place"))
     return float(sum(np.clip(o, 0.0, 1.5) for o in over))
 
 
-def _hushed(base: Row, row: Row) -> float:
+def _fall_of_tone(base: Json, row: Json) -> float:
     """Log of the fall of the strongest tone, as far as it is above those of model discrepancy; 0 to 2."""
     if "tone" not in row or "tone" not in base:
         return 0.0
-    return float(np.clip(np.log(max(base["tone"], 1e-3) / max(row["tone"], _USUAL_TONE)), 0.0, 2.0))
+    return float(np.clip(np.log(max(base["tone"], 1e-3) / max(row["tone"], _usual("tone"))), 0.0, 2.0))
 
 
-def _clocks(row: Row) -> float:
+def _clocks(row: Json) -> float:
     """Clocks near their bounds that are not so by chance: 0 to 1."""
     if "clocks" not in row:
         return 0.0

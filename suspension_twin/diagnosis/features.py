@@ -1,28 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Evidence as a file: what the verdict is made from, one row a hypothesis and one for the case.
+"""Evidence as a file: a row for each hypothesis and one for the case, from which the verdict is made.
 
 The rows hold plain numbers in SI units and nats, so that ``diagnosis.decision`` can decide anew without a drive. The
 content of ``evidence.json``:
 
-- ``case``: what was driven and how well it was measured;
+- ``case``: kind, drives, reference, library, noise and motion by channel;
 - ``base``: the recalibrated vehicle without any effect, as a row;
 - ``hypotheses``: single effects, decoys and sets of effects, a row each.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import cast
 
 import numpy as np
 from scipy.stats import chi2
 
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.case import Case
-from suspension_twin.diagnosis.decision import FORMAT, Row
-from suspension_twin.diagnosis.judge import Candidate, Judged, tempered_gain
+from suspension_twin.diagnosis.decision import FORMAT, Json
+from suspension_twin.diagnosis.judge import Candidate, Judged, detectable, tempered_gain
 from suspension_twin.diagnosis.library import DECOYS, SETUP_CATEGORIES, library
-from suspension_twin.diagnosis.local_road_error import concentrated_section
-from suspension_twin.diagnosis.search import LEAST_POWER
 from suspension_twin.diagnosis.shrink import (
     BlockBootstrap,
     RemainingResidual,
@@ -30,27 +28,23 @@ from suspension_twin.diagnosis.shrink import (
     gap_rows,
     relative_residual,
 )
-from suspension_twin.diagnosis.tonal import strongest_tone
+from suspension_twin.diagnosis.where import concentrated_section, strongest_tone, unevenness
 from suspension_twin.inference.cross_validation import Evidence, intervals
 from suspension_twin.inference.fit import linearised_fit
 from suspension_twin.inference.hypothesis import Hypothesis
-from suspension_twin.inference.noise import density
 from suspension_twin.inference.parallel import side_by_side
 from suspension_twin.inference.problem import Problem
 
-__all__ = ["add_intervals", "clock_offsets", "evidence_of", "refined_row", "unevenness", "usual_ratio"]
+__all__ = ["add_intervals", "clock_offsets", "evidence_of", "refined_row", "usual_ratio"]
 
 #: Single effects, the best by evidence, whose remaining residual is looked at for tones and places.
 _DETAILED = 6
-_HALF_OCTAVES = 1.0 * 2.0 ** (0.5 * np.arange(9))  # Hz
-#: Share of the mean square of a channel from which on a tonal component is looked for.
-_TONE_SHARE = 0.1
 #: Change of clock and position errors over a drive, from +2 to -2 standard deviations: a slow drift of the GNSS
 #: position resembles a clock drift.
 _BETWEEN_ENDS = 4.0
 
 
-def evidence_of(case: Case, judged: Judged, seed: int) -> dict[str, Any]:
+def evidence_of(case: Case, judged: Judged, seed: int) -> Json:
     """The content of ``evidence.json``.
 
     Parameters
@@ -62,31 +56,29 @@ def evidence_of(case: Case, judged: Judged, seed: int) -> dict[str, Any]:
     seed : int
         Seed of the bootstrap.
     """
-    draws = BlockBootstrap.of(judged.problem, judged.blocks, judged.noise, seed)
-    known = _Known(case, judged, draws)
+    known = _Rows(case, judged, seed)
     order = np.argsort([-tempered_gain(judged, c.found) for c in judged.singles], kind="stable")
-    detailed = {id(judged.singles[i]) for i in order[:_DETAILED]} | {id(c) for c in judged.sets}
-    hypotheses = [*judged.singles, *judged.sets]
-    rows = side_by_side(lambda c: known.row(c, id(c) in detailed), [judged.base, *hypotheses])
+    singles = set(order[:_DETAILED].tolist())
+    hypotheses = [(c, i in singles) for i, c in enumerate(judged.singles)] + [(c, True) for c in judged.sets]
+    rows = side_by_side(lambda pair: known.row(*pair), [(judged.base, False), *hypotheses])
     return {"format": FORMAT, "seed": seed, "case": known.case_row(), "base": rows[0], "hypotheses": rows[1:]}
 
 
-def refined_row(case: Case, judged: Judged, one: Candidate, seed: int) -> Row:
-    """What the twin file with a hypothesis is shown by: its parameters with intervals, characteristics and shrinks."""
-    known = _Known(case, judged, BlockBootstrap.of(judged.problem, judged.blocks, judged.noise, seed))
-    row = known.row(one, True)
+def refined_row(case: Case, judged: Judged, one: Candidate, seed: int) -> Json:
+    """Parameters with intervals, characteristics and shrinks of a hypothesis that was refitted for the twin file."""
+    row = _Rows(case, judged, seed).row(one, True)
     _add_intervals(case, judged, one, row)
     return {key: row[key] for key in ("parameters", "vehicle", "channels", "level", "level_fitted")}
 
 
-def add_intervals(case: Case, judged: Judged, rows: dict[str, Any]) -> None:
+def add_intervals(case: Case, judged: Judged, rows: Json) -> None:
     """Add the 90 % intervals of the parameters to the rows that could be named."""
     hypotheses = zip([*judged.singles, *judged.sets], rows["hypotheses"], strict=True)
     wanted = [(c, r) for c, r in hypotheses if r["detailed"] and not c.decoy]
     side_by_side(lambda pair: _add_intervals(case, judged, *pair), wanted)
 
 
-def _add_intervals(case: Case, judged: Judged, one: Candidate, row: Row) -> None:
+def _add_intervals(case: Case, judged: Judged, one: Candidate, row: Json) -> None:
     # without a road blocks do not repeat: the discrepancy is independent from block to block
     temper = judged.temper if case.road else 1.0
     fit = linearised_fit(judged.problem.having(one.hypothesis), one.found.fit.x)
@@ -96,124 +88,88 @@ def _add_intervals(case: Case, judged: Judged, one: Candidate, row: Row) -> None
         row["parameters"][effect][name]["interval"] = _plain(ends[i].tolist())
 
 
-class _Known:
-    """What all rows are compared with."""
+class _Rows:
+    """Rows of a case, all compared with the residuals of the twin as given and of recalibration alone."""
 
-    def __init__(self, case: Case, judged: Judged, draws: BlockBootstrap) -> None:
-        self.case, self.judged, self.draws = case, judged, draws
+    def __init__(self, case: Case, judged: Judged, seed: int) -> None:
         problem = judged.problem
-        self.rows = gap_rows(problem)
-        self.motion = np.std(problem.measured.values[self.rows], axis=0)
+        self.case, self.judged = case, judged
+        self.draws = BlockBootstrap.of(problem, judged.blocks, judged.noise, seed)
         self.driven = [c for c, name in enumerate(problem.channels) if name in case.driven]
-        self.given = draws.squares(judged.scale.uncalibrated.difference)
-        self.recalibrated = [
-            draws.squares(r) for r in (judged.base.remaining.difference, judged.base.remaining.with_nuisances)
-        ]
+        self.given = self.draws.squares(judged.scale.uncalibrated.difference)
+        self.recalibrated = self._squares(judged.base)
 
-    def case_row(self) -> Row:
-        """What was driven and how well it was measured."""
-        problem, judged = self.judged.problem, self.judged
-        parts = [
-            (p, r)
-            for p, r, d in zip(problem.data.parts, problem.data.rows, problem.data.drive_of, strict=True)
-            if problem.data.active[d]
-        ]
-        seconds = sum(r.size / p.rate for p, r in parts)
-        row: Row = {
-            "kind": self.case.kind,
-            "reference": judged.reference is not None,
-            "level_on_reference": judged.reference,
-            "drives": int(sum(problem.data.active)),
-            "seconds": seconds,
-            "rate": float(problem.measured.rate),
-            "blocks": int(self.draws.used.size),
-            "temper": judged.temper,
-            "library": len(set(library(self.case.twin, self.case.excited)) - set(DECOYS)),
-            "channels": {
-                name: {
-                    "noise": judged.noise[name],
-                    "motion": float(self.motion[c]),
-                    "gap": float(np.sqrt(np.mean(judged.scale.uncalibrated.difference[self.rows, c] ** 2))),
-                    "driven": c in self.driven,
-                }
-                for c, name in enumerate(problem.channels)
-            },
-        }
-        if self.case.road:
-            speeds = np.concatenate([np.abs(p.along[r]) for p, r in parts])
-            low, high = np.quantile(speeds, [0.05, 0.95])
-            row["speed"] = {"low": float(low), "high": float(high), "mean": float(speeds.mean())}
-        plain: Row = _plain(row)
-        return plain
+    def _squares(self, one: Candidate) -> list[Floats]:
+        """Sums of squares by drive, block and channel with the nuisance parameters at zero and as fitted."""
+        return [self.draws.squares(r) for r in (one.remaining.difference, one.remaining.with_nuisances)]
 
-    def row(self, one: Candidate, detailed: bool) -> Row:
+    def case_row(self) -> Json:
+        """Kind, drives, reference, library and channels of the case."""
+        judged, problem = self.judged, self.judged.problem
+        rows = gap_rows(judged.problem)
+        motion = np.std(problem.measured.values[rows], axis=0)
+        gap = np.sqrt(np.mean(judged.scale.uncalibrated.difference[rows] ** 2, axis=0))
+        row = _plain(
+            {
+                "kind": self.case.kind,
+                "reference": judged.reference is not None,
+                "level_on_reference": judged.reference,
+                "drives": int(sum(judged.problem.data.active)),
+                "temper": judged.temper,
+                "library": len(set(library(self.case.twin, self.case.excited)) - set(DECOYS)),
+                "channels": {
+                    name: {
+                        "noise": judged.noise[name],
+                        "motion": motion[c],
+                        "gap": gap[c],
+                        "driven": c in self.driven,
+                    }
+                    for c, name in enumerate(problem.channels)
+                },
+            }
+        )
+        return cast(Json, row)
+
+    def row(self, one: Candidate, detailed: bool) -> Json:
         """The row of a hypothesis."""
         judged, found, is_base = self.judged, one.found, one is self.judged.base
-        problem = judged.problem
-        temper = judged.temper
-        gains = found.score - judged.base.found.score
-        row: Row = {
+        names = judged.problem.channels
+        row: Json = {
             "effects": list(one.effects),
             "decoy": one.decoy,
             "detailed": detailed,
-            "gain": float(gains.sum()),
+            "gain": float((found.score - judged.base.found.score).sum()),
             "gain_fitted": found.fitted - judged.base.found.fitted,
-            "spread": float(np.sqrt(gains.size * np.var(gains))),
-            "occam": found.occam - judged.base.found.occam,
             "tempered_gain": tempered_gain(judged, found),
-            "freedom": self._freedom(found),
-            "folds": self._folds(gains),
             "level": self._level(one.remaining, False),
             "level_fitted": self._level(one.remaining, True),
-            "mean_squares": self._mean_squares(found, True),
-            "mean_squares_on_reference": self._mean_squares(found, False),
-            "channels": self._channels(one.remaining),
-            **(clock_offsets(problem, found, temper) if self.case.excited else {}),
-            "vehicle": _vehicle(problem, one),
+            "mean_squares": {names[c]: v for (c, with_gap), v in found.level.items() if with_gap},
+            "channels": self._channels(self._squares(one)),
+            **(clock_offsets(judged.problem, found, judged.temper) if self.case.excited else {}),
+            "vehicle": _vehicle(judged.problem, one),
         }
         if judged.base_since is not None:
             since = judged.base_since if is_base else one.since
-            row["since"] = None if since is None else tempered_gain(judged, since, judged.base_since)
-            if is_base:
-                row["since"] = tempered_gain(judged, judged.base_since)
-        if one.preexisting is not None:
-            row["preexisting"] = tempered_gain(judged, one.preexisting)
+            over = None if is_base else judged.base_since
+            row["since"] = None if since is None else tempered_gain(judged, since, over)
         if one.powers is not None:
-            row["power"] = float(one.powers.max())
-            row["detectable"] = bool(one.powers.max() >= LEAST_POWER)
-            row["undetectable"] = float(np.mean(temper * one.powers < LEAST_POWER))
+            row["detectable"] = detectable(one.powers)
         if not is_base:
             row |= self._parameters(one)
         if len(one.effects) > 1:
             row["added_low"] = self._added(one)
-        if is_base or detailed:
+        if (is_base or detailed) and self.case.road:
             row |= self._pattern(one.remaining)
-        plain: Row = _plain(row)
-        return plain
+        return cast(Json, _plain(row))
 
     def _added(self, one: Candidate) -> float:
         """Lower end of the shrink, in the best channel, that each effect of a set adds to the others; the least."""
-        own, ends = set(one.effects), []
-        squares = [self.draws.squares(r) for r in (one.remaining.difference, one.remaining.with_nuisances)]
+        own, ends, after = set(one.effects), [], self._squares(one)
         for fewer in (*self.judged.singles, *self.judged.sets):
             if set(fewer.effects) < own and len(fewer.effects) == len(own) - 1:
-                before = (fewer.remaining.difference, fewer.remaining.with_nuisances)
-                pairs = zip(before, squares, strict=True)
-                found = [s for b, a in pairs for s in self.draws.shrinks(self.draws.squares(b), a)]
-                ends.append(max(s.interval[0] for s in found))
+                pairs = zip(self._squares(fewer), after, strict=True)
+                ends.append(max(s.interval[0] for b, a in pairs for s in self.draws.shrinks(b, a)))
         return float(min(ends, default=0.0))
-
-    def _folds(self, gains: Floats) -> float:
-        """Share of the folds that gain."""
-        fold = self.judged.blocks.fold(np.arange(gains.size))
-        return float(np.mean(np.bincount(fold, gains) > 0.0))
-
-    def _freedom(self, found: Evidence) -> float:
-        """Nats of Occam's factor beyond that of recalibration: how much of the prior the tempered data rule out."""
-        own, base = found.penalty, self.judged.base.found.penalty
-        if own is None or base is None:
-            return 0.0
-        return own.at(self.judged.temper)[1] - base.at(self.judged.temper)[1]
 
     def _level(self, remaining: RemainingResidual, with_nuisances: bool) -> float:
         """Residual on the drives with the gap as a share of the motion."""
@@ -221,41 +177,32 @@ class _Known:
             self.judged.problem, remaining, self.judged.noise, self.case.driven, True, with_nuisances
         )
 
-    def _mean_squares(self, found: Evidence, with_gap: bool) -> dict[str, float]:
-        """Held-out mean square in units of the noise model, by channel."""
-        names = self.judged.problem.channels
-        return {names[c]: v for (c, side), v in found.level.items() if side == with_gap}
-
-    def _channels(self, remaining: RemainingResidual) -> Row:
+    def _channels(self, squares: list[Floats]) -> Json:
         """Gap before and after in each channel; ``shrink`` beyond recalibration with its interval.
 
         Channels that the excitation drives: with nuisance parameters at zero or as fitted, whichever shrinks more
         surely, because an effect may increase or decrease the clock and map offsets that the fit needs. Others: as
         fitted, because biases and tilt make most of the gap there.
         """
-        draws, both = self.draws, (remaining.difference, remaining.with_nuisances)
-        squares = [draws.squares(r) for r in both]
-        beyond = [draws.shrinks(b, a) for b, a in zip(self.recalibrated, squares, strict=True)]
-        written = draws.shrinks(self.given, squares[0], new_drive=True)
-        out: Row = {}
+        at_zero, fitted = (self.draws.shrinks(b, a) for b, a in zip(self.recalibrated, squares, strict=True))
+        written = self.draws.shrinks(self.given, squares[0], new_drive=True)
+        out: Json = {}
         for c, name in enumerate(self.judged.problem.channels):
-            way = int(beyond[1][c].interval[0] > beyond[0][c].interval[0]) if c in self.driven else 1
+            zero = c in self.driven and fitted[c].interval[0] <= at_zero[c].interval[0]
             out[name] = {
-                **_shrink_row(beyond[way][c]),
-                "fitted": bool(way),
-                "worst": float(min(beyond[0][c].shrink, beyond[1][c].shrink)) if c in self.driven else None,
+                **_shrink_row(at_zero[c] if zero else fitted[c]),
+                "worst": float(min(at_zero[c].shrink, fitted[c].shrink)) if c in self.driven else None,
                 "written": _shrink_row(written[c]),
             }
         return out
 
-    def _parameters(self, one: Candidate) -> Row:
-        """Parameters by effect, with their prior; ``usual`` is the largest severity over the usual error of a twin
-        file, of the smallest effect; ``signs`` the share of folds in which the main parameter keeps its sign."""
+    def _parameters(self, one: Candidate) -> Json:
+        """Parameters by effect with their distance from the prior, and ``usual``, the largest severity over the usual
+        error of a twin file, of the smallest effect."""
         problem, hypothesis = self.judged.problem, one.hypothesis
-        p = problem.shared
-        u, (low, high) = one.found.fit.x[p:], hypothesis.bounds()
+        u, (low, high) = one.found.fit.x[problem.shared :], hypothesis.bounds()
         values = one.found.fit.effect_values
-        parameters: dict[str, dict[str, Row]] = {e: {} for e in hypothesis.effects}
+        parameters: dict[str, Json] = {e: {} for e in hypothesis.effects}
         for key, value in hypothesis.fixed:
             _, effect, name = key.split(".")
             parameters[effect][name] = {"value": float(value)}
@@ -266,27 +213,16 @@ class _Known:
             setup = hypothesis.effect(effect).where in SETUP_CATEGORIES
             parameters[effect][name] = {
                 "value": float(values[i]),
-                "z": float(u[i]),
                 "far": 0.0 if setup else abs(float(u[i])),
                 "bound": bool(two_sided and not low[i] + 1e-9 < u[i] < high[i] - 1e-9),
             }
-        row: Row = {
-            "parameters": parameters,
-            "usual": usual_ratio(problem, hypothesis, parameters, self.judged.reference is not None),
-        }
-        row["where"] = sorted({hypothesis.effect(e).where for e in hypothesis.effects})
-        row["resonance"] = hypothesis.scan(1) is not None
-        if u.size:
-            main = int(np.argmax(np.abs(u)))
-            row["signs"] = float(np.mean(np.sign(one.found.unknowns[p + main]) == np.sign(u[main])))
-        return row
+        usual = usual_ratio(problem, hypothesis, parameters, self.judged.reference is not None)
+        return {"parameters": parameters, "usual": usual}
 
-    def _pattern(self, remaining: RemainingResidual) -> Row:
+    def _pattern(self, remaining: RemainingResidual) -> Json:
         """Patterns that model discrepancy does not have: a band, a tone, a place."""
-        if not self.case.road:
-            return {}
         problem, noise = self.judged.problem, self.judged.noise
-        tone = strongest_tone(problem, remaining, _TONE_SHARE)
+        tone = strongest_tone(problem, remaining)
         place = concentrated_section(problem, remaining, noise)
         return {
             "band": unevenness(problem, remaining, noise),
@@ -295,7 +231,7 @@ class _Known:
         }
 
 
-def clock_offsets(problem: Problem, found: Evidence, temper: float) -> Row:
+def clock_offsets(problem: Problem, found: Evidence, temper: float) -> Json:
     """Rms of the clock offsets of the drives in standard deviations of their prior, and the tail probability of all
     timing offsets by chance; empty where no clock is fitted."""
     nuisances = problem.nuisances
@@ -312,7 +248,7 @@ def clock_offsets(problem: Problem, found: Evidence, temper: float) -> Row:
 
 
 def usual_ratio(
-    problem: Problem, hypothesis: Hypothesis, parameters: dict[str, dict[str, Row]], referenced: bool
+    problem: Problem, hypothesis: Hypothesis, parameters: dict[str, Json], referenced: bool
 ) -> float | None:
     """Largest severity over the usual error of a twin file, of the effect where that is smallest; None where no error
     is usual.
@@ -331,7 +267,7 @@ def usual_ratio(
     return float(min(ratios)) if ratios else None
 
 
-def _shrink_row(one: Shrink) -> Row:
+def _shrink_row(one: Shrink) -> Json:
     return {
         "before": one.before,
         "after": one.after,
@@ -345,32 +281,6 @@ def _vehicle(problem: Problem, one: Candidate) -> dict[str, float]:
     """Fitted characteristics by the keys of the twin file."""
     values = problem.space.from_slopes(one.found.fit.x[: problem.d])
     return {k: float(v) for k, v in zip(problem.space.keys, values, strict=True)}
-
-
-def unevenness(problem: Problem, remaining: RemainingResidual, noise: dict[str, float]) -> float:
-    """Largest ratio of the residual share of a half octave to that of its neighbours, vertical acceleration.
-
-    The share of model discrepancy is smooth over frequency; a missing resonance or order exceeds its neighbours.
-    """
-    measured = problem.measured
-    if "vertical_acceleration" not in measured.channels:
-        return 1.0
-    c = measured.channels.index("vertical_acceleration")
-    segments = [s for s, d in zip(measured.segments, measured.drives, strict=True) if problem.data.active[d]]
-    rest, motion = (
-        density(v[:, c], segments, measured.rate) for v in (remaining.difference, measured.values)
-    )
-    f = np.linspace(0.0, 0.5 * measured.rate, rest.size)
-    band = np.digitize(f, _HALF_OCTAVES)
-    white = 2.0 * noise["vertical_acceleration"] ** 2 / measured.rate / measured.independent
-    shares = []
-    for b in range(1, _HALF_OCTAVES.size):
-        own = band == b
-        # limited from below by the noise
-        shares.append(max(float(rest[own].mean()) - white, white) / float(motion[own].mean()))
-    level = 0.5 * np.log(shares)
-    others = [np.delete(level[max(b - 2, 0) : b + 3], min(b, 2)) for b in range(level.size)]
-    return float(np.exp(max(float(level[b] - np.median(o)) for b, o in enumerate(others))))
 
 
 def _apparent_drift(problem: Problem) -> float:
@@ -390,13 +300,13 @@ def _apparent_drift(problem: Problem) -> float:
     return 1e6 * _BETWEEN_ENDS * float(np.hypot(clock, place / speed)) / seconds
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     """Numbers of six digits and plain containers, as JSON has them; what is not finite is None."""
     if isinstance(value, dict):
         return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
+    if isinstance(value, list | tuple):
         return [_plain(v) for v in value]
-    if isinstance(value, (bool, str, int)) or value is None:
+    if isinstance(value, bool | str | int) or value is None:
         return value
-    number = float(value)
+    number = float(value)  # type: ignore[arg-type]
     return float(f"{number:.6g}") if np.isfinite(number) else None

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a set-up could show before anyone drives: smallest sizes of effects, and pairs that look alike.
+"""Detectability before anyone drives: smallest sizes of effects, pairs that look alike, and the next drive.
 
 A change of the sensor's readings by an effect is projected off everything that a diagnosis fits anyway: the parameters
-of the vehicle and the nuisances, within their bounds. What is left counts in units of the residual to be expected of a
-sound model, channel by channel and drive by drive (its largest ratio of rms values). Two thresholds, both read off the
+of the vehicle and the nuisances, within their bounds. The residual counts in units of that to be expected of a sound
+model, channel by channel and drive by drive (its largest ratio of rms values). Two thresholds, both learnt on the
 blind benchmark, turn ratios into answers: from ``DETECTABLE`` on an effect is named, and a pair is distinguished where
 one effect leaves ``APART`` of the other whatever its own parameters are.
 """
@@ -11,23 +11,30 @@ one effect leaves ``APART`` of the other whatever its own parameters are.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import reduce
 from operator import add
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
+from suspension_twin.diagnosis.case import Case
+from suspension_twin.diagnosis.decision import Json
+from suspension_twin.diagnosis.judge import Candidate, Judged
 from suspension_twin.diagnosis.library import library
 from suspension_twin.diagnosis.sensitivity import Change, Products, planned_drive, products
+from suspension_twin.diagnosis.wording import capital, effect_name
 from suspension_twin.effects.base import Parameter
+from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.errors import InputError, SuspensionTwinError
 from suspension_twin.files import write_text
+from suspension_twin.inference.fit import twin_of
 from suspension_twin.inference.hypothesis import Hypothesis
+from suspension_twin.inference.noise import USUAL_SHARE
 from suspension_twin.inference.observation import Observation, road_of
 from suspension_twin.inference.parallel import side_by_side
 from suspension_twin.models.registry import model_of
@@ -38,14 +45,16 @@ __all__ = [
     "APART",
     "DETECTABLE",
     "SPEEDS",
+    "Detectability",
     "Pair",
     "Plan",
     "Ray",
     "Rival",
-    "Shown",
     "alternatives",
+    "next_experiment",
     "plan",
     "rays",
+    "separating_drive",
 ]
 
 #: km/h if none are given.
@@ -57,13 +66,13 @@ APART: Final = 0.25
 #: Sizes of an effect, in the scale of its prior; the last is its largest plausible size.
 _SIZES: Final = (0.1, 0.2, 0.45, 1.0, 3.0)
 #: The same of a logarithmic one, in standard deviations from typical, weak to strong.
-_LOG_SIZES: Final = (-3.0, -2.0, -1.0, 0.0, 1.0, 2.0)
+_LOG_SIZES: Final = np.arange(-3.0, 3.0)
 #: km/h that are tried where a pair cannot be told apart.
 _OTHER_SPEEDS: Final = (10.0, 30.0, 60.0)
 #: e-folds of size by which a change of the set-up has to be better than another to be named instead.
 _BETTER: Final = 0.1
 #: Frequencies of a resonance, in standard deviations from typical; that many neighbours make one rival.
-_TONES: Final = tuple(np.linspace(-1.5, 1.5, 25).tolist())
+_TONES: Final = np.linspace(-1.5, 1.5, 25)
 _TOGETHER: Final = 3
 
 
@@ -92,7 +101,7 @@ class Ray:
     @property
     def typical(self) -> int:
         """Which point is of typical size."""
-        wanted = _LOG_SIZES.index(0.0) if self.parameter.log else _SIZES.index(1.0)
+        wanted = int(np.argmax(_LOG_SIZES == 0.0)) if self.parameter.log else _SIZES.index(1.0)
         return min(wanted, self.sizes.size - 1)
 
     def rank(self, size: float) -> float:
@@ -116,20 +125,18 @@ class Ray:
 
 
 @dataclass(frozen=True)
-class Shown:
-    """How well a parameter of an effect shows: the smallest detectable ``size``, in the parameter's unit (a change
-    from neutral, or the value of a logarithmic one), None where even the largest plausible size is below the
-    threshold; the ``channel`` that shows it first; ``ratio`` of the ``largest`` size; no ``size`` is below the
-    ``usual`` one, which sound vehicles have."""
+class Detectability:
+    """Detectability of a parameter of an effect: the smallest ``size`` that shows, in the parameter's unit (a change
+    from neutral, or the value of a logarithmic one), None where even the ``largest`` plausible one is below the
+    threshold; the ``channel`` that shows it first, and its ``ratio`` at the largest size. No size is below the usual
+    one, which sound vehicles have."""
 
     effect: str
     place: str
     parameter: str
-    unit: str
     size: float | None
     typical: float
     largest: float
-    usual: float
     ratio: float
     channel: str
 
@@ -137,12 +144,12 @@ class Shown:
 @dataclass(frozen=True)
 class Pair:
     """An effect, by the ray that is taken most easily for a rival, beside this ``rival``: the ``angle`` in degrees
-    between what is left of the two, ``size`` from which on the rival leaves enough of the effect (None: never), and the
-    best of the tried changes of the set-up, ``remedy``, with the size that it needs."""
+    between the residuals of the two, ``size`` from which on the rival leaves enough of the effect (None: never), and
+    the best of the tried changes of the set-up, ``remedy``, with the size that it needs."""
 
     ray: str
     effect: str
-    shown: Shown
+    shown: Detectability
     rival: str
     angle: float
     size: float | None
@@ -152,7 +159,7 @@ class Pair:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What a set-up could show: what :func:`plan` returns.
+    """Detectability of all effects by a set-up.
 
     Parameters
     ----------
@@ -164,12 +171,12 @@ class Plan:
         km/h of the drives.
     seconds : tuple of float
         Their lengths.
-    shown : tuple of Shown
+    shown : tuple of Detectability
         A row for every parameter of every effect.
     effects : tuple of str
         Ids of the effects, in the order of ``angles``.
     angles : (E, E) array
-        Degrees between what is left of an effect (row) and a rival (column), the smallest over the parameters that
+        Degrees between the residuals of an effect (row) and a rival (column), the smallest over the parameters that
         show; NaN where none does.
     pairs : tuple of Pair
         Pairs that this set-up could not tell apart at any plausible size, or only from a size on beyond the detectable.
@@ -186,23 +193,24 @@ class Plan:
     road: str
     speeds: tuple[float, ...]
     seconds: tuple[float, ...]
-    shown: tuple[Shown, ...]
+    shown: tuple[Detectability, ...]
     effects: tuple[str, ...]
     angles: Floats
     pairs: tuple[Pair, ...]
 
-    def as_dict(self) -> dict[str, Any]:
-        """What ``plan.json`` holds."""
+    def as_dict(self) -> Json:
+        """The content of ``plan.json``."""
+        drives = zip(self.speeds, self.seconds, strict=True)
         return {
             "vehicle": getattr(self.twin.vehicle, "name", ""),
             "road": self.road,
-            "drives": [
-                {"speed_kmh": kmh, "seconds": round(s, 2)}
-                for kmh, s in zip(self.speeds, self.seconds, strict=True)
-            ],
+            "drives": [{"speed_kmh": kmh, "seconds": round(s, 2)} for kmh, s in drives],
             "thresholds": {"detectable": DETECTABLE, "apart": APART, "unit": "expected residual, rms"},
-            "effects": [asdict(row) for row in self.shown],
-            "pairs": [{k: v for k, v in asdict(pair).items() if k != "ray"} for pair in self.pairs],
+            "effects": [self._row(row) for row in self.shown],
+            "pairs": [
+                {k: v for k, v in (asdict(pair) | {"shown": self._row(pair.shown)}).items() if k != "ray"}
+                for pair in self.pairs
+            ],
             "angles_deg": {
                 effect: {
                     rival: round(float(angle), 2)
@@ -213,15 +221,27 @@ class Plan:
             },
         }
 
+    def _row(self, row: Detectability) -> Json:
+        """A row with the unit and the usual size of the parameter."""
+        parameter = EFFECTS[row.effect].on(self.twin.model).parameter(row.parameter)
+        more = {"unit": parameter.unit, "usual": _usual_size(self.twin, row.effect, parameter)}
+        return asdict(row) | more
+
     def write(self, folder: Path) -> None:
         """Write ``folder/plan.json``."""
         text = json.dumps(self.as_dict(), indent=2, ensure_ascii=False, allow_nan=False)
         write_text(folder / "plan.json", text + "\n")
 
 
+def _usual_size(twin: Twin, effect: str, parameter: Parameter) -> float:
+    """Size of a parameter that sound vehicles have."""
+    share = EFFECTS[effect].usual_share if parameter.unit == "kg" else 0.0
+    return max(parameter.usual, share * getattr(twin.vehicle, "mass", 0.0))
+
+
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """What an effect can make: ``names`` of its columns and how large a multiple of each is plausible."""
+    """The columns by ``names`` that an effect can make, and how large a multiple of each is plausible."""
 
     hypothesis: Hypothesis
     names: tuple[str, ...]
@@ -276,7 +296,7 @@ def rays(hypothesis: Hypothesis, weak: float = 1.0) -> list[Ray]:
             continue
         for sign in (-1,) if p.log and weak > 0 else (1,) if p.log else (1, -1):
             if p.log:
-                at = sign * np.array(_LOG_SIZES)
+                at = sign * _LOG_SIZES
             else:
                 at = nothing[i] + sign * max(1.0, abs(nothing[i])) * np.array(_SIZES)
             at = np.unique(np.clip(at, low[i], high[i]))[:: int(sign)]
@@ -292,8 +312,8 @@ def rays(hypothesis: Hypothesis, weak: float = 1.0) -> list[Ray]:
 
 
 def _rivals(hypothesis: Hypothesis, own: Sequence[Ray]) -> tuple[list[Rival], list[Change]]:
-    """What a hypothesis can make, and the columns that this needs beside its ``own`` rays: of these rays, and of a
-    typical size with each other parameter moved."""
+    """Rivals that a hypothesis makes, of its ``own`` rays and of a typical size with each other parameter moved; and
+    the changes whose columns these need beside the rays."""
     severe = hypothesis.effect(hypothesis.effects[0]).severity
     shapes = [i for i, (_, p) in enumerate(hypothesis.searched) if p.name not in severe]
     tone = next((i for i in shapes if hypothesis.searched[i][1].name == "frequency"), None)
@@ -316,10 +336,10 @@ def _rivals(hypothesis: Hypothesis, own: Sequence[Ray]) -> tuple[list[Rival], li
 def _resonances(
     hypothesis: Hypothesis, ray: Ray, tone: int, shapes: Sequence[int]
 ) -> tuple[list[Rival], list[Change]]:
-    """A rival for each few neighbouring frequencies of a resonance: what it makes at one is nothing like what it makes
-    at another, and both at once it cannot make."""
+    """A rival for each few neighbouring frequencies of a resonance: responses at distant frequencies are unlike, and
+    both at once are impossible."""
     changes = []
-    for number, frequency in enumerate(_TONES):
+    for number, frequency in enumerate(_TONES.tolist()):
         middle = ray.points[:, ray.typical].copy()
         middle[tone] = frequency
         points = _moved(hypothesis, middle, shapes)
@@ -343,8 +363,8 @@ def _moved(hypothesis: Hypothesis, point: Floats, shapes: Sequence[int]) -> Floa
 
 
 @dataclass(frozen=True, eq=False)
-class _Asked:
-    """Everything that is asked of every drive."""
+class _Library:
+    """Rays and rivals of all effects, and the changes whose columns they need."""
 
     rays: tuple[Ray, ...]
     rivals: tuple[Rival, ...]
@@ -356,28 +376,25 @@ class _Asked:
         return tuple(dict.fromkeys(ray.effect for ray in self.rays))
 
 
-def _asked(twin: Twin, drive: Observation, effects: Sequence[str]) -> _Asked:
+def _library(twin: Twin, drive: Observation, effects: Sequence[str]) -> _Library:
     """Rays and rivals of the library; which way logarithmic severities vanish is seen on a ``drive``."""
-    own: list[Ray] = []
-    rivals: list[Rival] = []
-    changes: list[Change] = []
+    own, rivals, changes = list[Ray](), list[Rival](), list[Change]()
     offered = [h for variants in library(twin, True, effects).values() for h in variants]
-    weak = _vanishing(twin, drive, offered)
-    for hypothesis, sign in zip(offered, weak, strict=True):
+    for hypothesis, sign in zip(offered, _vanishing(twin, drive, offered), strict=True):
         mine = rays(hypothesis, sign)
         more, needed = _rivals(hypothesis, mine)
+        points = np.concatenate([ray.points for ray in mine], axis=1)
         own += mine
         rivals += more
-        points = np.concatenate([ray.points for ray in mine], axis=1)
         changes += [Change(hypothesis, points, tuple(n for ray in mine for n in ray.names)), *needed]
-    return _Asked(tuple(own), tuple(rivals), tuple(changes))
+    return _Library(tuple(own), tuple(rivals), tuple(changes))
 
 
 def alternatives(twin: Twin, drive: Observation) -> tuple[list[Rival], list[Change]]:
     """All rivals of the library on a twin, and the changes whose columns they need; ``drive`` shows which way
     logarithmic severities vanish."""
-    asked = _asked(twin, drive, ())
-    return list(asked.rivals), list(asked.changes)
+    known = _library(twin, drive, ())
+    return list(known.rivals), list(known.changes)
 
 
 def _vanishing(twin: Twin, drive: Observation, offered: Sequence[Hypothesis]) -> list[float]:
@@ -402,7 +419,7 @@ def plan(
     effects: Sequence[str] = (),
     on_progress: Callable[[str, float], None] = lambda text, share: None,
 ) -> Plan:
-    """What drives over a road could show of each effect, and which pairs they could not tell apart.
+    """Smallest sizes of effects that drives over a road could show, and pairs that they could not tell apart.
 
     Parameters
     ----------
@@ -420,7 +437,7 @@ def plan(
     Returns
     -------
     Plan
-        Sizes, angles, pairs and what would separate them.
+        Sizes, angles, pairs and the changes that would separate them.
 
     Raises
     ------
@@ -448,83 +465,70 @@ def plan(
     speeds = tuple(dict.fromkeys(float(v) for v in speeds))
     on_progress("simulating", 0.0)
     drives = [planned_drive(twin, road, kmh) for kmh in speeds]
-    asked = _asked(twin, drives[-1], effects)
+    known = _library(twin, drives[-1], effects)
     on_progress("sensitivities", 0.1)
-    found = _together(twin, drives, asked.changes)
+    found = _together(twin, drives, known.changes)
     on_progress("comparing effects", 0.4)
-    shown = _shown(twin, found, asked.rays)
-    seen = [_Seen.of(r, s) for r, s in zip(asked.rays, shown, strict=True) if s.size is not None]
-    angles, near = _pairs(found, asked, seen)
+    shown = _detectability(twin, found, known.rays)
+    detected = [_Detected.of(r, s) for r, s in zip(known.rays, shown, strict=True) if s.size is not None]
+    angles, near = _pairs(found, known, detected)
     on_progress("looking for what would separate pairs", 0.6)
-    return Plan(
-        twin,
-        road.name,
-        speeds,
-        tuple(float(d.t[-1] - d.t[0]) for d in drives),
-        _both_ways(shown),
-        asked.effects,
-        angles,
-        tuple(_remedied(twin, road, drives, found, asked, near)),
-    )
+    pairs = _remedied(found, known, near, _options(twin, road, drives, speeds)) if near else []
+    seconds = tuple(float(d.t[-1] - d.t[0]) for d in drives)
+    return Plan(twin, road.name, speeds, seconds, _weaker_ways(shown), known.effects, angles, tuple(pairs))
 
 
-def _together(twin: Twin, drives: Sequence[Observation], changes: Sequence[Change]) -> Products:
-    return reduce(add, side_by_side(lambda drive: products(twin, drive, changes), drives))
+def _together(twin: Twin, drives: Iterable[Observation], changes: Sequence[Change]) -> Products:
+    return reduce(add, side_by_side(lambda drive: products(twin, drive, changes), list(drives)))
 
 
-def _shown(twin: Twin, found: Products, rays: Sequence[Ray]) -> list[Shown]:
-    """How well each ray shows."""
-    columns = found.columns([name for ray in rays for name in ray.names])
-    ratios, _ = found.left(columns)
+def _detectability(twin: Twin, found: Products, rays: Sequence[Ray]) -> list[Detectability]:
+    """Detectability of each ray."""
+    ratios, _ = found.left(found.columns([name for ray in rays for name in ray.names]))
     out, first = [], 0
     for ray in rays:
         own = ratios[:, first : first + ray.sizes.size]
         first += ray.sizes.size
-        size = ray.size_from(own.max(axis=0), DETECTABLE)
-        effect, p = ray.hypothesis.effect(ray.effect), ray.parameter
-        usual = max(
-            p.usual, effect.usual_share * getattr(twin.vehicle, "mass", 0.0) if p.unit == "kg" else 0.0
-        )
-        if size is not None and not p.log:  # what sound vehicles have is no finding
-            size = max(size, usual) if usual < ray.sizes[-1] else None
+        size, largest = ray.size_from(own.max(axis=0), DETECTABLE), float(ray.sizes[-1])
+        usual = _usual_size(twin, ray.effect, ray.parameter)
+        if size is not None and not ray.parameter.log:  # sizes of sound vehicles are no finding
+            size = max(size, usual) if usual < largest else None
+        best = int(np.argmax(own[:, -1]))
         out.append(
-            Shown(
+            Detectability(
                 ray.effect,
                 _place(ray.hypothesis),
-                p.name,
-                p.unit,
+                ray.parameter.name,
                 size,
                 float(ray.sizes[ray.typical]),
-                float(ray.sizes[-1]),
-                usual,
-                float(own[:, -1].max()),
-                found.channels[int(np.argmax(own[:, -1]))],
+                largest,
+                float(own[best, -1]),
+                found.channels[best],
             )
         )
     return out
 
 
-def _both_ways(shown: Sequence[Shown]) -> tuple[Shown, ...]:
+def _weaker_ways(shown: Sequence[Detectability]) -> tuple[Detectability, ...]:
     """One row for each parameter: of the two ways that it can grow the one that shows less."""
-    worst: dict[tuple[str, str, str], Shown] = {}
+    weaker: dict[tuple[str, str, str], Detectability] = {}
     for row in shown:
         key = row.effect, row.place, row.parameter
-        other = worst.get(key)
-        if other is None or row.ratio < other.ratio:
-            worst[key] = row
-    return tuple(worst.values())
+        if key not in weaker or row.ratio < weaker[key].ratio:
+            weaker[key] = row
+    return tuple(weaker.values())
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class _Detected:
     """A ray that is detected: its ``points`` are the first of its points that is, and its largest."""
 
     ray: Ray
-    shown: Shown
+    shown: Detectability
     points: tuple[int, ...]
 
     @classmethod
-    def of(cls, ray: Ray, shown: Shown) -> _Seen:
+    def of(cls, ray: Ray, shown: Detectability) -> _Detected:
         assert shown.size is not None
         enough = [i for i, size in enumerate(ray.sizes) if ray.rank(size) >= ray.rank(shown.size)]
         last = ray.sizes.size - 1
@@ -536,58 +540,66 @@ class _Seen:
         return [self.ray.names[i] for i in self.points]
 
 
-def _apart(found: Products, seen: Sequence[_Seen], rival: Rival) -> tuple[list[float | None], Floats]:
+def _columns(found: Products, detected: Sequence[_Detected]) -> tuple[NDArray[np.intp], list[int]]:
+    """Columns of rays, and where those of each begin."""
+    starts = np.cumsum([0, *(len(one.points) for one in detected)])[:-1].tolist()
+    return found.columns([name for one in detected for name in one.names]), starts
+
+
+def _apart(found: Products, detected: Sequence[_Detected], rival: Rival) -> tuple[list[float | None], Floats]:
     """For each ray the size from which on a rival leaves enough of it (the first that is detected, a larger one, or
     None), and the whitened squares that it leaves of the first."""
-    columns = _columns(found, seen)
+    columns, starts = _columns(found, detected)
     ratios, squares = found.left(columns, found.columns(rival.names), rival.scale)
     sizes: list[float | None] = []
-    starts = np.cumsum([0, *(len(one.points) for one in seen)])
-    for one, first in zip(seen, starts, strict=False):
+    for one, first in zip(detected, starts, strict=True):
         own = ratios[:, first : first + len(one.points)].max(axis=0)
         enough = own[0] >= APART
         sizes.append(one.shown.size if enough else one.ray.size_from(own, APART, one.points))
-    return sizes, squares[starts[:-1]]
+    return sizes, squares[starts]
 
 
-def _columns(found: Products, seen: Sequence[_Seen]) -> NDArray[np.intp]:
-    return found.columns([name for one in seen for name in one.names])
+def _largest(ray: Ray, sizes: Sequence[float | None]) -> float | None:
+    """The most severe of these sizes; None where one of them is never reached."""
+    known = [size for size in sizes if size is not None]
+    return max(known, key=ray.rank) if len(known) == len(sizes) else None
 
 
 @dataclass(frozen=True, eq=False)
-class _Alike:
+class _Confusable:
     """A pair, its ray, and the rivals that leave too little of it."""
 
     pair: Pair
-    seen: _Seen
+    detected: _Detected
     rivals: tuple[Rival, ...]
 
     @property
     def names(self) -> list[str]:
         """Names of the columns that concern it."""
-        return [*self.seen.names, *(name for rival in self.rivals for name in rival.names)]
+        return [*self.detected.names, *(name for rival in self.rivals for name in rival.names)]
 
     def size_with(self, found: Products) -> float | None:
         """The size from which on all of its rivals leave enough of the ray, with other products."""
-        sizes = [_apart(found, [self.seen], rival)[0][0] for rival in self.rivals]
-        known = [size for size in sizes if size is not None]
-        return max(known, key=self.seen.ray.rank) if len(known) == len(sizes) else None
+        sizes = [_apart(found, [self.detected], rival)[0][0] for rival in self.rivals]
+        return _largest(self.detected.ray, sizes)
 
 
-def _pairs(found: Products, asked: _Asked, seen: Sequence[_Seen]) -> tuple[Floats, list[_Alike]]:
+def _pairs(
+    found: Products, known: _Library, detected: Sequence[_Detected]
+) -> tuple[Floats, list[_Confusable]]:
     """Angles between effects, and the pairs that look alike at a size that would be detected: of each the ray and the
     rivals that are nearest."""
-    effects = asked.effects
+    effects = known.effects
     angles = np.full((len(effects), len(effects)), np.nan)
-    near: dict[tuple[str, str], list[tuple[_Seen, Rival, float, float | None]]] = {}
-    if not seen:
+    near: dict[tuple[str, str], list[tuple[_Detected, Rival, float, float | None]]] = {}
+    if not detected:
         return angles, []
-    _, squares = found.left(_columns(found, seen))
-    alone = squares[np.cumsum([0, *(len(one.points) for one in seen)])[:-1]]
-    for rival in asked.rivals:
-        sizes, left = _apart(found, seen, rival)
+    columns, starts = _columns(found, detected)
+    alone = found.left(columns)[1][starts]
+    for rival in known.rivals:
+        sizes, left = _apart(found, detected, rival)
         sine = np.sqrt(np.clip(left / np.maximum(alone, 1e-12), 0.0, 1.0))
-        for one, size, angle in zip(seen, sizes, np.degrees(np.arcsin(sine)).tolist(), strict=True):
+        for one, size, angle in zip(detected, sizes, np.degrees(np.arcsin(sine)).tolist(), strict=True):
             if rival.effect == one.ray.effect:
                 continue
             place = effects.index(one.ray.effect), effects.index(rival.effect)
@@ -598,91 +610,153 @@ def _pairs(found: Products, asked: _Asked, seen: Sequence[_Seen]) -> tuple[Float
     for (effect, other), those in near.items():
         one, _, angle, _ = min(those, key=lambda each: (each[3] is not None, each[2]))
         own = [each for each in those if each[0] is one]
-        needed = [each[3] for each in own]
-        known = [size for size in needed if size is not None]
-        largest = max(known, key=one.ray.rank) if len(known) == len(needed) else None
-        pair = Pair(one.ray.name, effect, one.shown, other, angle, largest)
-        out.append(_Alike(pair, one, tuple(each[1] for each in own)))
-    return angles, sorted(out, key=lambda alike: (alike.pair.size is not None, alike.pair.angle))
+        size = _largest(one.ray, [each[3] for each in own])
+        pair = Pair(one.ray.name, effect, one.shown, other, angle, size)
+        out.append(_Confusable(pair, one, tuple(each[1] for each in own)))
+    return angles, sorted(out, key=lambda each: (each.pair.size is not None, each.pair.angle))
 
 
-def _remedied(
-    twin: Twin,
-    road: Road,
-    drives: Sequence[Observation],
-    found: Products,
-    asked: _Asked,
-    near: Sequence[_Alike],
-) -> list[Pair]:
-    """Pairs with the change of the set-up that separates them at the smallest size."""
-    if not near:
-        return []
-    needed = {name for alike in near for name in alike.names}
-    changes = [few for change in asked.changes if (few := change.only(needed)).names]
-
-    def tried(option: tuple[str, Callable[[], Products]]) -> list[float | None]:
-        try:
-            changed = option[1]()
-        except SuspensionTwinError:  # no such drive with this vehicle
-            return [None] * len(near)
-        return [alike.size_with(changed) for alike in near]
-
-    options = _options(twin, road, drives, found, changes)
-    best = [alike.pair for alike in near]
-    for (name, _), sizes in zip(options, side_by_side(tried, options), strict=True):
-        for n, (alike, size) in enumerate(zip(near, sizes, strict=True)):
-            pair, rank = best[n], alike.seen.ray.rank
-            known = pair.size if pair.remedy_size is None else pair.remedy_size
-            if size is not None and (known is None or rank(size) < rank(known) - _BETTER):
-                best[n] = replace(pair, remedy=name, remedy_size=size)
-    return best
+# -- changes of the set-up ---------------------------------------------------------------------------
 
 
-def _options(
-    twin: Twin, road: Road, drives: Sequence[Observation], found: Products, changes: Sequence[Change]
-) -> list[tuple[str, Callable[[], Products]]]:
-    """Changes of the set-up that are tried: one more speed, another place of the sensor, a bump."""
-    options: list[tuple[str, Callable[[], Products]]] = []
+@dataclass(frozen=True, eq=False)
+class _Option:
+    """A change of the set-up: ``drives`` (road, km/h, name) by a twin, ``added`` to the planned ones or in their
+    place."""
 
-    def more(where: Road, kmh: float, name: str) -> Callable[[], Products]:
-        return lambda: found + products(twin, planned_drive(twin, where, kmh, name), changes)
+    name: str
+    twin: Twin
+    drives: tuple[tuple[Road, float, str], ...]
+    added: bool
 
-    def elsewhere(place: tuple[float, float, float]) -> Callable[[], Products]:
-        moved = twin.with_changes({f"imu.position.{i}": v for i, v in enumerate(place)})
-        return lambda: _together(moved, [_again(moved, road, d) for d in drives], changes)
 
+def _options(twin: Twin, road: Road, drives: Sequence[Observation], speeds: Sequence[float]) -> list[_Option]:
+    """Changes of the set-up that are tried: one more speed, an obstacle, another place of the sensor."""
     given = [float(d.along.max()) * 3.6 for d in drives]
-    for kmh in _OTHER_SPEEDS:
-        if all(not 0.75 < kmh / v < 1.33 for v in given):
-            options.append((f"one more drive at {kmh:g} km/h", more(road, kmh, f"{kmh:g} km/h more")))
-    for name, bump, kmh in _bumps():
-        options.append((f"{name} at {kmh:g} km/h", more(bump, kmh, name)))
+    options = [
+        _Option(f"one more drive at {kmh:g} km/h", twin, ((road, kmh, f"{kmh:g} km/h more"),), True)
+        for kmh in _OTHER_SPEEDS
+        if all(not 0.75 < kmh / v < 1.33 for v in given)
+    ]
+    options += [
+        _Option(f"{name} at {kmh:g} km/h", twin, ((obstacle, kmh, name),), True)
+        for name, obstacle, kmh in _manoeuvres()[:3]
+    ]
     x, _, z = twin.imu.position
     front, rear = (float(f(twin.vehicle.wheel_positions[:, 0])) for f in (np.max, np.min))
     side = 0.4 * float(np.ptp(twin.vehicle.wheel_positions[:, 1]))
+    again = tuple((road, kmh, f"{kmh:g} km/h") for kmh in speeds)
     for name, place in (
         ("the sensor over the front axle", (front, 0.0, z)),
         ("the sensor over the rear axle", (rear, 0.0, z)),
         ("the sensor at the left side", (x, side, z)),
     ):
-        options.append((name, elsewhere(place)))
+        moved = twin.with_changes({f"imu.position.{i}": v for i, v in enumerate(place)})
+        options.append(_Option(name, moved, again, False))
     return options
 
 
-def _again(twin: Twin, road: Road, drive: Observation) -> Observation:
-    """The same drive with another twin."""
-    return planned_drive(twin, road, float(drive.name.split()[0]), drive.name)
+def _remedied(
+    found: Products, known: _Library, near: Sequence[_Confusable], options: Sequence[_Option]
+) -> list[Pair]:
+    """Pairs with the change of the set-up that separates them at the smallest size."""
+    needed = {name for each in near for name in each.names}
+    changes = [few for change in known.changes if (few := change.only(needed)).names]
+
+    def tried(option: _Option) -> list[float | None]:
+        try:
+            drives = [planned_drive(option.twin, *drive) for drive in option.drives]
+            changed = _together(option.twin, drives, changes)
+        except SuspensionTwinError:  # no such drive with this vehicle
+            return [None] * len(near)
+        changed = found + changed if option.added else changed
+        return [each.size_with(changed) for each in near]
+
+    best = [each.pair for each in near]
+    for option, sizes in zip(options, side_by_side(tried, options), strict=True):
+        for n, (each, size) in enumerate(zip(near, sizes, strict=True)):
+            pair, rank = best[n], each.detected.ray.rank
+            least = pair.size if pair.remedy_size is None else pair.remedy_size
+            if size is not None and (least is None or rank(size) < rank(least) - _BETTER):
+                best[n] = replace(pair, remedy=option.name, remedy_size=size)
+    return best
 
 
-def _bumps() -> list[tuple[str, Road, float]]:
-    """Obstacles to try, with the speed over each in km/h."""
+def _manoeuvres() -> list[tuple[str, Road, float]]:
+    """Obstacles with the speed over each in km/h; short, without a test track. The first three are those of a plan."""
 
     def bumped(length: float, height: float) -> Road:
         return bump_road(half_sine(length, height), at=30.0, length=70.0)
 
+    bump = bumped(0.9, 0.07)
     left = add_bump(bumped(0.9, 1e-6), half_sine(0.9, 0.06), 40.0, v_low=0.1)
+    ripples = bump_road(half_sine(2.0, 0.004), at=[20.0 + 6.0 * i for i in range(7)], length=70.0)
     return [
-        ("a speed bump (7 cm high, 0.9 m long)", bumped(0.9, 0.07), 20.0),
+        ("a speed bump (7 cm high, 0.9 m long)", bump, 20.0),
         ("a sharp edge (3 cm high, 0.25 m long)", bumped(0.25, 0.03), 30.0),
         ("a bump under the left wheels only", left, 20.0),
+        ("a speed bump (7 cm high, 0.9 m long)", bump, 10.0),
+        ("a speed bump (7 cm high, 0.9 m long)", bump, 40.0),
+        ("a long wave (8 cm high, 6 m long)", bumped(6.0, 0.08), 40.0),
+        ("a pothole (6 cm deep, 0.7 m long)", bumped(0.7, -0.06), 30.0),
+        ("a smooth road (ripples of 4 mm)", ripples, 40.0),
     ]
+
+
+# -- the next drive of a diagnosis -------------------------------------------------------------------
+
+
+def separating_drive(
+    first: Twin, second: Twin, noise: dict[str, float], share: float
+) -> tuple[float, str] | None:
+    """The manoeuvre on which two twins differ most, with the expected log likelihood ratio in nats; None where none can
+    be simulated.
+
+    0.5 n_eff / n sum((y_1 - y_2)^2 / (sigma^2 + (``share`` s)^2)) over the channels, with the ``noise`` sigma and the
+    model discrepancy, a ``share`` of the rms s of the motion.
+    """
+
+    def separation(manoeuvre: tuple[str, Road, float]) -> tuple[float, str] | None:
+        name, road, kmh = manoeuvre
+        try:
+            one, other = (
+                planned_drive(twin.model_copy(update={"road": None}), road, kmh) for twin in (first, second)
+            )
+        except SuspensionTwinError:
+            return None
+        total = 0.0
+        for channel, values in one.measured.items():
+            sigma = noise.get(channel, one.noise_rms[channel])
+            variance = sigma**2 + (share * float(np.std(values[one.mask]))) ** 2
+            total += float(np.sum((values - other.measured[channel])[one.mask] ** 2)) / variance
+        return float(total * one.bandwidth / one.rate), f"{name} at {kmh:g} km/h"
+
+    return max((found for found in map(separation, _manoeuvres()) if found is not None), default=None)
+
+
+def next_experiment(case: Case, tied: Sequence[Candidate], answer: str, judged: Judged) -> str:
+    """One sentence: the manoeuvre that separates the ``tied`` candidates of a diagnosis, and the expected gain."""
+    if len(tied) < 2:
+        return "None is needed to separate candidates."
+    effects = [c.effects[0] for c in tied[:2]]
+    pair = " from ".join(effect_name(e) for e in effects)
+    if case.kind == "run":
+        return f"Repeat the run with another excitation to separate {pair}."
+    tap = "mount_resonance" in effects
+    tail = " A tap on the phone holder at standstill excites the mount resonance alone." if tap else ""
+    first, second = (twin_of(judged.problem, c.found.fit) for c in tied[:2])
+    found = separating_drive(first, second, judged.noise, max(judged.reference or USUAL_SHARE, 0.05))
+    if found is None:
+        return f"No manoeuvre of the menu can be simulated to separate {pair}.{tail}"
+    nats, name = found
+    if nats < 1.0:
+        shows = " ".join(
+            f"{capital(effect_name(e))} shows in: {', '.join(EFFECTS[e].excited_by)}." for e in effects
+        )
+        return f"No manoeuvre of those that were simulated would separate {pair}. {shows}{tail}"
+    why = " if there is a gap at all" if answer == "no_gap" else ""
+    if nats > np.log(1000.0):
+        worth = "settle it"
+    else:
+        worth = f"make the right one {np.exp(nats):.0f} times as likely as the other"
+    return f"Drive {name}: it separates {pair} best{why}; one pass should {worth}.{tail}"

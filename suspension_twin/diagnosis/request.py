@@ -3,11 +3,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
-from suspension_twin.diagnosis.decision import Costs
+from suspension_twin.diagnosis.decision import Costs, Json
 from suspension_twin.display import axes_or_new, bulleted, table
 from suspension_twin.drive.read import Topics
 from suspension_twin.vehicle.twin import Twin
@@ -21,7 +25,7 @@ __all__ = ["DiagnosisRequest", "DiagnosisResult", "DriveView", "Progress"]
 
 @dataclass(frozen=True)
 class DiagnosisRequest:
-    """What to diagnose, on what.
+    """Twin and drives of a diagnosis, and its settings.
 
     Parameters
     ----------
@@ -70,19 +74,17 @@ class Progress:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DriveView:
-    """One drive for the report: channels (m,) on its grid, ``before`` simulated by the twin as given, ``after``
-    by the twin with the named effects. ``channel`` is the id of the channel, empty for the one of ``gap``."""
+    """One drive for the report: a ``channel`` (m,) on its grid, ``measured`` and ``simulated``, ``before`` by the twin
+    as given and ``after`` by the twin with the named effects; ``compared`` (m,) marks the samples that count."""
 
     name: str
+    channel: str
+    rate: float
     t: Floats
     position: Floats
-    rate: float
     measured: Floats
-    before: Floats
-    recalibrated: Floats
-    after: Floats
-    compared: Any
-    channel: str = ""
+    simulated: Mapping[str, Floats]
+    compared: NDArray[np.bool_]
 
     def __repr__(self) -> str:
         return f"DriveView({self.name}, {self.channel or 'main channel'}, {self.t.size} samples)"
@@ -93,12 +95,12 @@ class DiagnosisResult:
     """``document`` is the content of diagnosis.json, ``evidence`` that of evidence.json, ``twin`` the twin
     with the named effects."""
 
-    document: dict[str, Any]
+    document: Json
     twin: Twin
     drives: tuple[DriveView, ...]
     seconds: float
     warnings: tuple[str, ...] = field(default_factory=tuple)
-    evidence: dict[str, Any] = field(default_factory=dict)
+    evidence: Json = field(default_factory=dict)
 
     @property
     def message(self) -> str:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a diagnosis says in plain words: effects, parameters, wheels, channels, and the answer in a sentence.
+"""Words of a diagnosis: effects, parameters, wheels, channels, and the answer in a sentence.
 
-All text for people is made here, for the page, the command line and the nodes alike. What an effect with its
-parameters means is said by the effect itself (``Effect.finding``).
+All text for people is made here, for the page, the command line and the nodes alike. The meaning of an effect with its
+parameters is put into words by the effect itself (``Effect.finding``).
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from suspension_twin.units import plain
 __all__ = [
     "NOTHING",
     "UNKNOWN",
+    "Document",
     "answer",
     "capital",
     "chance",
@@ -27,7 +28,7 @@ __all__ = [
     "effect_at",
     "effect_name",
     "finding",
-    "how_likely",
+    "leading",
     "listed",
     "message",
     "parameter_name",
@@ -35,12 +36,10 @@ __all__ = [
     "parameters_of",
     "percent",
     "place_name",
-    "probability_of",
-    "remaining",
     "remarks",
-    "subject",
 ]
 
+#: The content of ``diagnosis.json``, or of one of its causes.
 Document = Mapping[str, Any]
 
 NOTHING, UNKNOWN = "nothing is wrong", "something that is not in the library"
@@ -85,11 +84,6 @@ def chance(probability: float) -> str:
     return percent(max(probability, 1e-9))
 
 
-def how_likely(probability: float) -> str:
-    """The usual words for a probability, such as ``very likely``."""
-    return next(word for least, word in _LIKELY if probability >= least)
-
-
 def channel_name(name: str) -> str:
     """``vertical acceleration`` for ``vertical_acceleration``."""
     return name.replace("_", " ")
@@ -102,12 +96,12 @@ def place_name(name: str) -> str:
 
 def effect_name(name: str) -> str:
     """A short name of an effect, of ``no_gap`` or of ``unknown``."""
-    special = {"no_gap": NOTHING, "unknown": UNKNOWN}
-    return special.get(name) or (EFFECTS[name].title if name in EFFECTS else name.replace("_", " "))
+    known = {"no_gap": NOTHING, "unknown": UNKNOWN, **{e: effect.title for e, effect in EFFECTS.items()}}
+    return known.get(name, name.replace("_", " "))
 
 
 def _parameter(effect: str, name: str) -> Parameter | None:
-    """What an effect says of one of its parameters, on any model."""
+    """A parameter of an effect, on any model."""
     if effect not in EFFECTS:
         return None
     own = EFFECTS[effect]
@@ -129,6 +123,8 @@ def parameter_value(effect: str, name: str, value: float) -> str:
     known = _parameter(effect, name)
     if known is None:
         return f"{value:.3g}".replace("-", "\N{MINUS SIGN}")
+    if not known.log and abs(value - known.neutral) < 1e-3 * _scale(known):
+        value = known.neutral  # rounding errors of a fit are no finding
     if known.choices:
         names: dict[int, str] = {int(k): v.strip() for k, v in re.findall(r"\b(\d+) ([^,]+)", known.doc)}
         return names.get(round(value), f"{value:g}")
@@ -138,11 +134,7 @@ def parameter_value(effect: str, name: str, value: float) -> str:
 def effect_at(effect: str, place: str) -> str:
     """Name of an effect with its place: ``one odd damper, front left`` for the place ``corner 0``."""
     name, _, value = place.partition(" ")
-    return (
-        f"{effect_name(effect)}, {parameter_value(effect, name, float(value))}"
-        if value
-        else effect_name(effect)
-    )
+    return effect_name(effect) + (f", {parameter_value(effect, name, float(value))}" if value else "")
 
 
 def parameters_of(cause: Document) -> list[tuple[str, str]]:
@@ -159,7 +151,7 @@ def parameters_of(cause: Document) -> list[tuple[str, str]]:
 
 
 def finding(effect: str, parameters: Mapping[str, float]) -> str:
-    """What an effect with its parameters is: "the front left damper has lost 40 % of its force"."""
+    """An effect with its parameters in words: "the front left damper has lost 40 % of its force"."""
     known = EFFECTS.get(effect)
     if known is not None and _nothing(effect, parameters):
         return f"no sign of this: {known.title}"
@@ -170,71 +162,57 @@ def finding(effect: str, parameters: Mapping[str, float]) -> str:
 
 
 def _nothing(effect: str, parameters: Mapping[str, float]) -> bool:
-    """Whether what was found of an effect is a hundredth of its usual size, or less."""
+    """Whether an effect is a hundredth of its usual size, or less."""
     severities = [_parameter(effect, name) for name in EFFECTS[effect].severity if name in parameters]
     return bool(severities) and all(
-        p is not None
-        and not p.log
-        and abs(parameters[p.name] - p.neutral) <= 0.01 * max(p.spread, abs(p.typical - p.neutral))
+        p is not None and not p.log and abs(parameters[p.name] - p.neutral) <= 0.01 * _scale(p)
         for p in severities
     )
 
 
+def _scale(parameter: Parameter) -> float:
+    """Usual size of a parameter: the larger of the spread of its prior and its typical distance from neutral."""
+    return max(parameter.spread, abs(parameter.typical - parameter.neutral))
+
+
 def channel_of(document: Document, cause: Document | None = None) -> str:
-    """Id of the channel whose gap a cause closes; that of the whole gap where nothing else is given."""
-    own = cause.get("channel") if cause else None
-    return str(own or document.get("channel") or document["gap"]["channel"])
+    """Id of the channel whose gap a cause closes; that of the whole gap without one."""
+    return str((cause or document["gap"])["channel"])
 
 
 def _named(document: Document) -> list[Document]:
-    """The causes that the answer names."""
+    """The causes that the answer names, in its order."""
     causes = {c["effect"]: c for c in document["causes"]}
     return [causes[e] for e in document["combination"] if e in causes]
 
 
-def probability_of(document: Document) -> float:
-    """Probability of the answer: of the causes named together, of no gap, or of an unknown cause."""
-    if "probability" in document:
-        return float(document["probability"])
-    if document["verdict"] in ("no_gap", "unknown"):
-        return float(document[f"{document['verdict']}_probability"])
-    return min(1.0, sum(float(c["probability"]) for c in _named(document)))
-
-
-def subject(document: Document) -> str:
-    """What the answer is about, in a few words: the names of the causes, or that nothing is wrong."""
-    named = [effect_name(c["effect"]) for c in _named(document)]
-    if document["verdict"] in ("effect", "partly") and named:
-        return capital(listed(named))
-    if _likelier(document) is not None:
-        return "No cause that is certain enough"
-    return capital(NOTHING) if document["verdict"] == "no_gap" else "Unknown cause"
+def leading(document: Document) -> Document | None:
+    """The most probable of the causes that the answer names."""
+    return max(_named(document), key=lambda c: float(c["probability"]), default=None)
 
 
 def _likelier(document: Document) -> Document | None:
     """The cause that is more probable than an answer that names none: a wrong name costs more than none."""
     if document["verdict"] not in ("no_gap", "unknown"):
         return None
-    lead = max(document["causes"], key=lambda c: float(c["probability"]), default=None)
-    sure = probability_of(document)
-    return lead if lead is not None and float(lead["probability"]) > sure else None
+    likelier = [c for c in document["causes"] if float(c["probability"]) > float(document["probability"])]
+    return max(likelier, key=lambda c: float(c["probability"]), default=None)
 
 
 def answer(document: Document) -> str:
     """The answer and how sure it is, in one sentence."""
-    verdict, probability = document["verdict"], probability_of(document)
-    sure = f"{capital(how_likely(probability))} ({chance(probability)})"
-    named = _named(document)
-    if verdict in ("effect", "partly") and named:
+    verdict, probability, named = document["verdict"], float(document["probability"]), _named(document)
+    sure = f"{capital(next(word for least, word in _LIKELY if probability >= least))} ({chance(probability)})"
+    if named:
         found = "; and ".join(finding(c["effect"], c["parameters"]) for c in named)
         more = ", but that is not all" if verdict == "partly" else ""
         return f"{sure}: {found}{more}."
     likelier = _likelier(document)
     if likelier is not None:
-        rest = (("unknown_probability", f"it is {UNKNOWN}"), ("no_gap_probability", NOTHING))
         chances = [
             (float(likelier["probability"]), finding(likelier["effect"], likelier["parameters"])),
-            *((float(document[key]), words) for key, words in rest),
+            (float(document["unknown_probability"]), f"it is {UNKNOWN}"),
+            (float(document["no_gap_probability"]), NOTHING),
         ]
         return f"No cause is certain enough to be named: {listed([f'{chance(p)} that {w}' for p, w in chances])}."
     if verdict == "no_gap":
@@ -243,47 +221,50 @@ def answer(document: Document) -> str:
 
 
 def remarks(document: Document) -> list[str]:
-    """Sentences below the answer: how far it closes the gap, what else it could be, what was there before."""
-    verdict, named = document["verdict"], _named(document)
-    lines: list[str] = []
-    if named and verdict in ("effect", "partly"):
-        lines += _closing(document, named)
+    """Sentences below the answer: by how much the gap falls, what else it could be, what cannot be judged."""
+    verdict, lines = document["verdict"], []
+    if document["combination"]:
+        lines += _closing(document)
     elif verdict == "no_gap":
         r = document["recalibration"]
         text = "Twin and car differ by no more than sensor noise and the usual error of a model"
-        closed = r["gap_before"] - r["gap_after"]
-        if closed > 0.1 * r["gap_before"]:
+        if r["gap_before"] - r["gap_after"] > 0.1 * r["gap_before"]:
             text += f", once the twin is recalibrated: that alone closes {percent(r['shrink'])} of the gap"
         lines.append(text + ".")
     else:
-        lines.append(capital(remaining(document)) + ".")
+        lines.append(capital(_remaining(document)) + ".")
     if verdict == "partly":
         lines.append(f"{percent(document['unexplained'])} of the gap stay unexplained.")
-    lines += _kept(document)
+    candidates = [effect_name(c) for c in document["candidates"]]
+    if len(candidates) > 1:
+        lines.append(f"In nine cases of ten like this one the truth is among: {', '.join(candidates)}.")
+    if document.get("before_and_after"):
+        lines.append("Not new: before and after alike.")
+    weak = [effect_name(e) for e in document["cannot_be_judged"]]
+    if weak:
+        lines.append(f"Cannot be judged, as these drives do not excite them: {', '.join(weak)}.")
     return lines
 
 
-def remaining(document: Document) -> str:
-    """What an unexplained gap looks like."""
+def _remaining(document: Document) -> str:
+    """An unexplained gap in words: its size, and the shapes and errors that it resembles."""
     unit, signature = channel_unit(document["gap"]["channel"]), document.get("signature", {})
-    words = [f"{document.get('gap_after', document['gap']['rms']):.2g} {unit} of the gap remain"]
+    words = [f"{document['gap_after']:.2g} {unit} of the gap remain"]
     for like in signature.get("resembles", [])[:1]:
         words.append(f"they resemble {effect_name(like['effect'])}")
     there = signature.get("stretch")
     if there:
         text = f"{percent(there['share'])} of it lies from {there['start_m']:.0f} to {there['end_m']:.0f} m of the road"
-        if there.get("like"):
+        if there["like"]:
             text += f", where it is like {effect_name(there['resembles'][0]['effect'])}"
         words.append(text)
     return "; ".join(words)
 
 
 def message(document: Document) -> str:
-    """The answer in one plain sentence, with how far a cause closes the gap and what remains of an unknown one."""
-    text = answer(document).rstrip(".")
-    named = _named(document)
-    if named and document["verdict"] in ("effect", "partly"):
-        lead = max(named, key=lambda c: float(c["probability"]))
+    """The answer in one plain sentence, with how far a cause closes the gap and how much remains of an unknown one."""
+    text, lead = answer(document).rstrip("."), leading(document)
+    if lead is not None:
         low, high = (percent(v) for v in lead["shrink_beyond_recalibration_interval"])
         text += (
             f"; the gap in {channel_name(lead['channel'])} is {percent(lead['shrink_beyond_recalibration'])} smaller "
@@ -292,16 +273,15 @@ def message(document: Document) -> str:
         if document.get("before_and_after"):
             text += "; it is so before and after alike, so it is not what changed"
     elif document["verdict"] == "unknown":
-        text += f"; {remaining(document)}"
+        text += f"; {_remaining(document)}"
     return text
 
 
-def _closing(document: Document, named: list[Document]) -> list[str]:
-    """How far the causes that are named close the gap, and what they cannot be told from."""
-    lead = max(named, key=lambda c: float(c["probability"]))
-    channel = channel_of(document, lead)
-    where = f"the gap in {channel_name(channel)}"
-    before = float(lead["gap_before"])
+def _closing(document: Document) -> list[str]:
+    """By how much the causes that are named close the gap, and what they cannot be distinguished from."""
+    named, lead = _named(document), leading(document)
+    assert lead is not None
+    before, channel = float(lead["gap_before"]), channel_of(document, lead)
     if len(named) > 1:
         share = 1.0 - float(document["unexplained"])
         words, after, interval = "With them", before * (1.0 - share), ""
@@ -312,25 +292,10 @@ def _closing(document: Document, named: list[Document]) -> list[str]:
     change = "falls" if share > 0.0 else "does not fall: it goes"
     by = f", by {percent(share)}{interval}" if share > 0.0 else ""
     lines = [
-        f"{words} in the twin {where} {change} from {before:.2g} to {after:.2g} {channel_unit(channel)}{by}, on road "
-        "that the fit has not used."
+        f"{words} in the twin the gap in {channel_name(channel)} {change} from {before:.2g} to {after:.2g} "
+        f"{channel_unit(channel)}{by}, on road that the fit has not used."
     ]
-    like = [effect_name(e) for c in named for e in c.get("indistinguishable_from", ())]
+    like = dict.fromkeys(effect_name(e) for c in named for e in c["indistinguishable_from"])
     if like:
-        lines.append(f"These drives cannot distinguish it from: {listed(list(dict.fromkeys(like)))}.")
-    return lines
-
-
-def _kept(document: Document) -> list[str]:
-    """What the answer is hedged with: the set that holds the truth, and errors that are not new."""
-    lines = []
-    candidates = [effect_name(str(c)) for c in document.get("candidates", ())]
-    if len(candidates) > 1:
-        lines.append(f"In nine cases of ten like this one the truth is among: {', '.join(candidates)}.")
-    alike = document.get("before_and_after")
-    if isinstance(alike, str):
-        lines.append(capital(alike.rstrip(".")) + ".")
-    elif alike:
-        names = [effect_name(str(e)) for e in alike] if isinstance(alike, list | tuple) else []
-        lines.append(f"Not new, before and after alike{': ' + listed(names) if names else ''}.")
+        lines.append(f"These drives cannot distinguish it from: {listed(list(like))}.")
     return lines

@@ -167,7 +167,7 @@ def run_diagnosis(
     job: Job, on_progress: Callable[[DiagnosisStep], None], should_stop: Callable[[], bool]
 ) -> Outcome:
     """Diagnose in this process and write ``diagnosis.json``, ``twin.yaml`` and ``report.html``."""
-    from suspension_twin.diagnosis.output import write
+    from suspension_twin.diagnosis.answer import write
     from suspension_twin.diagnosis.run import diagnose
     from suspension_twin.report.diagnosis import diagnosis_page
 

@@ -4,13 +4,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
 from scipy.ndimage import uniform_filter1d
 
-from suspension_twin.arrays import Floats
+from suspension_twin.arrays import Floats, runs
 from suspension_twin.calibration.labels import parameter_label, parameter_unit
 from suspension_twin.calibration.request import CalibrationResult, CurveEstimate, DriveFit
 from suspension_twin.inference.gap import channel_unit
@@ -32,13 +31,13 @@ _WINDOW = 4.0  # s of a panel in time
 _PANELS = 3
 _WAVE = 3.0  # m: longer waves of the road are left out of its profile
 _LONGEST_RATED = 20.0  # s of a drive that ISO/TS 18571 rates: its time warping costs with the square
-#: What each status means, and its colour in the table.
+#: Meaning of each status, and its colour in the table.
 _MEANINGS = {
     "identified": "the drives carry at least as much information on it as its prior",
     "extrapolated": "it follows identified neighbours on its characteristic by the prior of smooth slopes; a faster "
     "drive or a higher bump would identify it",
     "kept": "at its start: the drives do not show that it differs from it",
-    "not identified": "the search knew no prior: the value is arbitrary within its interval",
+    "not identified": "the search had no prior: the value is arbitrary within its interval",
     "on bound": "the search wanted to go further",
 }
 _COLOURS: dict[str, Mark] = {
@@ -61,7 +60,7 @@ def calibration_page(result: CalibrationResult) -> Page:
     Parameters
     ----------
     result : CalibrationResult
-        What :func:`~suspension_twin.calibration.run.calibrate` returned.
+        Result of :func:`~suspension_twin.calibration.run.calibrate`.
 
     Returns
     -------
@@ -78,7 +77,8 @@ def calibration_page(result: CalibrationResult) -> Page:
         "Calibration", f"{result.twin.vehicle.name} on {drives}, preset {result.preset}, seed {result.seed}"
     )
     _cards(page, result)
-    page.add(Section("Result", _summary(result), _agreement_table(result), plots.agreement(_bars(result))))
+    gaps = {d.name: {"before": d.gap_before.rms, "simulated": d.gap_after.rms} for d in result.drives}
+    page.add(Section("Result", _summary(result), _agreement_table(result), plots.agreement(gaps)))
     for drive in result.drives:
         page.add(_drive_section(drive))
     if result.curves:
@@ -142,23 +142,13 @@ def _summary(result: CalibrationResult) -> str:
 
 
 def _agreement_table(result: CalibrationResult) -> Table:
-    rows: list[list[object]] = []
     main = result.drives[0].channel if result.drives else ""
     unit = channel_unit(main)
-    for d in result.drives:
-        for name, simulated in (("as it started", d.before), ("calibrated", d.after)):
-            a, b = (s[d.channel][d.compared] for s in (d.measured, simulated))
-            rated = slice(0, int(_LONGEST_RATED * d.rate))
-            rows.append(
-                [
-                    f"{d.name}, {name}",
-                    float(rms_error(a, b)),
-                    float(mean_squared_error(a, b)),
-                    float(correlation(a, b)),
-                    float(iso18571(a[rated], b[rated], d.rate).overall),
-                    float(spectral_distance(a, b, d.rate)),
-                ]
-            )
+    rows = [
+        _agreement(d, name, simulated[d.channel])
+        for d in result.drives
+        for name, simulated in (("as it started", d.before), ("calibrated", d.after))
+    ]
     columns = [
         "twin",
         f"rms [{unit}]",
@@ -170,36 +160,50 @@ def _agreement_table(result: CalibrationResult) -> Table:
     return Table(columns, rows, f"{main.replace('_', ' ')}, on the compared samples")
 
 
-def _bars(result: CalibrationResult) -> dict[str, dict[str, float]]:
-    return {d.name: {"before": d.gap_before.rms, "simulated": d.gap_after.rms} for d in result.drives}
+def _agreement(drive: DriveFit, name: str, simulated: Floats) -> list[object]:
+    a, b = drive.measured[drive.channel][drive.compared], simulated[drive.compared]
+    rated = slice(0, int(_LONGEST_RATED * drive.rate))
+    return [
+        f"{drive.name}, {name}",
+        float(rms_error(a, b)),
+        float(mean_squared_error(a, b)),
+        float(correlation(a, b)),
+        float(iso18571(a[rated], b[rated], drive.rate).overall),
+        float(spectral_distance(a, b, drive.rate)),
+    ]
 
 
 def _drive_section(drive: DriveFit) -> Section:
-    channel, unit = drive.channel, channel_unit(drive.channel)
-    measured, before, after = (s[channel] for s in (drive.measured, drive.before, drive.after))
-    time = plots.in_time(
-        drive.t,
-        measured,
-        after,
-        before=before,
-        windows=_windows(drive),
-        origin=float(drive.t[0]),
-        names=_NAMES,
-    )
+    unit = channel_unit(drive.channel)
     text = (
         f"{drive.gap_after.seconds:.1f} s compared. With the nuisances corrected (clock, map, biases) the residual is "
         f"{drive.nuisance_free:.3g} {unit} on the compared samples; the sensor's noise floor is "
         f"{drive.gap_after.noise_rms:.3g} {unit}."
     )
-    figures = [(time, "The seconds with the strongest motion.")]
+    figures = [(_in_time(drive, drive.channel, plots.ACCELERATION), "The seconds with the strongest motion.")]
     if "pitch_rate" in drive.measured:
-        figures.append((_pitch(drive), "Pitch rate in the same seconds."))
+        figures.append(
+            (_in_time(drive, "pitch_rate", "pitch rate [rad/s]"), "Pitch rate in the same seconds.")
+        )
     figures += [
         (_spectra(drive), "Power spectral densities."),
         (_two_sided(drive), "Amplitude spectra as the car paper's Fig. 11 has them."),
         (_by_road(drive), "Residual by position along the road."),
     ]
     return Section(drive.name, text, *(f for f, _ in figures), captions=tuple(c for _, c in figures))
+
+
+def _in_time(drive: DriveFit, channel: str, label: str) -> Figure:
+    return plots.in_time(
+        drive.t,
+        drive.measured[channel],
+        drive.after[channel],
+        before=drive.before[channel],
+        windows=_windows(drive),
+        origin=float(drive.t[0]),
+        label=label,
+        names=_NAMES,
+    )
 
 
 def _windows(drive: DriveFit) -> list[plots.Window]:
@@ -216,46 +220,33 @@ def _windows(drive: DriveFit) -> list[plots.Window]:
     return [plots.Window(t - half, t + half) for t in sorted(found)]
 
 
-def _pitch(drive: DriveFit) -> Figure:
-    rows = (s["pitch_rate"] for s in (drive.measured, drive.after, drive.before))
-    measured, after, before = rows
-    return plots.in_time(
-        drive.t,
-        measured,
-        after,
-        before=before,
-        windows=_windows(drive),
-        origin=float(drive.t[0]),
-        label="pitch rate [rad/s]",
-        names=_NAMES,
+def _longest(drive: DriveFit) -> dict[str, Floats]:
+    """Measured, calibrated and started signal and residual over the longest run of compared samples."""
+    first, last = max(runs(drive.compared), key=lambda run: run[1] - run[0])
+    measured, simulated, before = (
+        s[drive.channel][first:last] for s in (drive.measured, drive.after, drive.before)
     )
-
-
-def _stacked(drive: DriveFit) -> Floats:
-    """(m, 4) measured, calibrated, started and residual over the longest compared stretch."""
-    rows = np.flatnonzero(drive.compared)
-    cuts = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
-    longest = max(cuts, key=len)
-    channel = drive.channel
-    a, b, c = (s[channel][longest] for s in (drive.measured, drive.after, drive.before))
-    return np.column_stack([a, b, c, a - b])
+    return {
+        "residual": measured - simulated,
+        "before": before,
+        "measured": measured,
+        "simulated": simulated,
+    }
 
 
 def _spectra(drive: DriveFit) -> Figure:
-    frequency, density = power_density(_stacked(drive), drive.rate, 4.0)
-    columns = dict(zip(("measured", "simulated", "before", "residual"), density.T, strict=True))
-    order = ("residual", "before", "measured", "simulated")
-    return plots.in_frequency(frequency, {role: columns[role] for role in order}, cutoff=20.0, names=_NAMES)
+    signals = _longest(drive)
+    frequency, density = power_density(np.column_stack(list(signals.values())), drive.rate, 4.0)
+    return plots.in_frequency(
+        frequency, dict(zip(signals, density.T, strict=True)), cutoff=20.0, names=_NAMES
+    )
 
 
 def _two_sided(drive: DriveFit) -> Figure:
-    stacked = _stacked(drive)
-    frequency, _ = power_spectrum(stacked[:, 0], drive.rate)
-    roles = ("measured", "simulated", "before")
+    signals = _longest(drive)
+    found = {r: power_spectrum(signals[r], drive.rate) for r in ("measured", "simulated", "before")}
     return plots.two_sided(
-        frequency,
-        {r: power_spectrum(stacked[:, i], drive.rate)[1] for i, r in enumerate(roles)},
-        names=_NAMES,
+        found["measured"][0], {r: amplitude for r, (_, amplitude) in found.items()}, names=_NAMES
     )
 
 
@@ -279,10 +270,15 @@ def _by_road(drive: DriveFit) -> Figure:
 
 
 def _characteristics_section(result: CalibrationResult) -> Section:
-    evidence = {axle: _evidence(result, axle) for axle in result.twin.axles}
     vehicles = {"before": result.start.vehicle, "simulated": result.twin.vehicle}
-    figure = characteristics(vehicles, evidence=evidence, from_rest=True)
-    whole = characteristics(vehicles, evidence=_whole_evidence(result))
+    travel, whole = (
+        characteristics(
+            vehicles,
+            evidence={axle: _evidence(result, axle, from_rest) for axle in result.twin.axles},
+            from_rest=from_rest,
+        )
+        for from_rest in (True, False)
+    )
     text = (
         "Bands hold the force with a probability of 90 %. The drives excited the shaded range; beyond it a "
         "characteristic is extrapolated from its neighbouring points by a prior of smooth slopes. A spring is drawn "
@@ -292,7 +288,7 @@ def _characteristics_section(result: CalibrationResult) -> Section:
     return Section(
         "Characteristics",
         text,
-        figure,
+        travel,
         whole,
         captions=(
             "Springs over the travel from standstill, dampers over the velocity.",
@@ -306,36 +302,28 @@ def _of_axle(result: CalibrationResult, axle: str) -> dict[str, CurveEstimate]:
     return {c.key.removeprefix(f"{own}."): c for c in result.curves if c.key.rpartition(".")[0] == own}
 
 
-def _evidence(result: CalibrationResult, axle: str) -> AxleEvidence:
+def _evidence(result: CalibrationResult, axle: str, from_rest: bool) -> AxleEvidence:
+    """Bands, excited ranges and unidentified points of an axle; of its spring over the travel from standstill, or over
+    the compression."""
     curves = _of_axle(result, axle)
-    spring = curves.get("spring")
-    seen = spring is not None and math.isfinite(spring.static)
+    spring, unidentified = curves.get("spring"), _unidentified(result, axle)
+    band, excited = _band(spring, 1.3), None
+    if spring is not None and math.isfinite(spring.span[0]):
+        excited = spring.span
+    if from_rest:
+        band = excited = None
+        if spring is not None and math.isfinite(spring.static):
+            band = Band(spring.rest_grid, spring.rest_low, spring.rest_high)
+            excited = (spring.span[0] - spring.static, spring.span[1] - spring.static)
+        unidentified = [(kind, x) for kind, x in unidentified if kind != "spring"]
     return AxleEvidence(
-        spring=Band(spring.rest_grid, spring.rest_low, spring.rest_high) if spring and seen else None,
+        spring=band,
         push=_band(curves.get("damper_push")),
         pull=_band(curves.get("damper_pull")),
-        compression=(spring.span[0] - spring.static, spring.span[1] - spring.static)
-        if spring and seen
-        else None,
+        compression=excited,
         velocity=_velocity(curves),
-        unexcited=[(kind, x) for kind, x in _unidentified(result, axle) if kind != "spring"],
+        unexcited=unidentified,
     )
-
-
-def _whole_evidence(result: CalibrationResult) -> dict[str, AxleEvidence]:
-    found = {}
-    for axle in result.twin.axles:
-        curves = _of_axle(result, axle)
-        spring = curves.get("spring")
-        found[axle] = AxleEvidence(
-            spring=_band(spring, 1.3),
-            push=_band(curves.get("damper_push")),
-            pull=_band(curves.get("damper_pull")),
-            compression=spring.span if spring and math.isfinite(spring.span[0]) else None,
-            velocity=_velocity(curves),
-            unexcited=_unidentified(result, axle),
-        )
-    return found
 
 
 def _band(curve: CurveEstimate | None, reach: float = math.inf) -> Band | None:
@@ -367,22 +355,23 @@ def _unidentified(result: CalibrationResult, axle: str) -> list[tuple[str, float
 # -- tables ----------------------------------------------------------------------------------------
 
 
+def _interval(low: float, high: float) -> str:
+    return f"{short(low)} to {short(high)}" if math.isfinite(low) else "–"
+
+
 def _parameter_section(result: CalibrationResult) -> Section:
-    rows: list[Sequence[object]] = []
-    for e in result.estimates:
-        interval = f"{short(e.low)} to {short(e.high)}" if math.isfinite(e.low) else "–"
-        value = Cell(e.value, "bad", f"on its {e.on_bound} bound") if e.on_bound else Cell(e.value)
-        rows.append(
-            [
-                parameter_label(result.twin, e.key),
-                parameter_unit(e.key),
-                e.start,
-                value,
-                interval,
-                f"{short(e.lower)} to {short(e.upper)}",
-                Cell(e.status, _COLOURS[e.status], _MEANINGS[e.status]),
-            ]
-        )
+    rows = [
+        [
+            parameter_label(result.twin, e.key),
+            parameter_unit(e.key),
+            e.start,
+            Cell(e.value, "bad", f"on its {e.on_bound} bound") if e.on_bound else Cell(e.value),
+            _interval(e.low, e.high),
+            _interval(e.lower, e.upper),
+            Cell(e.status, _COLOURS[e.status], _MEANINGS[e.status]),
+        ]
+        for e in result.estimates
+    ]
     columns = ["parameter", "unit", "start", "found", "90 % interval", "bounds", "status"]
     text = (
         "Values on a bound are coloured. An interval that does not hold its value shows that the bounds or the search "
@@ -392,10 +381,10 @@ def _parameter_section(result: CalibrationResult) -> Section:
 
 
 def _sensor_section(result: CalibrationResult) -> Section:
-    rows: list[Sequence[object]] = []
-    for s in result.sensor:
-        written = Cell("in the twin file", "good") if s.written else Cell("left as it was", "soft")
-        rows.append([s.key, s.start, s.value, f"{short(s.low)} to {short(s.high)}", s.unit, written])
+    written = {True: Cell("in the twin file", "good"), False: Cell("left as it was", "soft")}
+    rows = [
+        [s.key, s.start, s.value, _interval(s.low, s.high), s.unit, written[s.written]] for s in result.sensor
+    ]
     text = (
         "The latency of the IMU, its low-pass included, and how its mounting is turned against the starting file. A "
         "value goes into the twin file where that lowers the expected error of the calibrated vehicle on another "
@@ -406,23 +395,23 @@ def _sensor_section(result: CalibrationResult) -> Section:
 
 
 def _nuisance_section(result: CalibrationResult) -> Section:
-    rows: list[Sequence[object]] = []
-    for n in result.nuisances:
-        identified = math.isfinite(n.sigma) and n.sigma**2 <= 0.5 * n.prior**2
-        rows.append(
-            [
-                n.name.replace("_", " "),
-                n.value,
-                n.sigma,
-                n.unit,
-                Cell("", "") if identified else Cell("not identified", "soft"),
-            ]
-        )
+    identified = {n.name for n in result.nuisances if n.sigma**2 <= 0.5 * n.prior**2}
+    rows = [
+        [
+            n.name.replace("_", " "),
+            n.value,
+            n.sigma,
+            n.unit,
+            Cell("") if n.name in identified else Cell("not identified", "soft"),
+        ]
+        for n in result.nuisances
+    ]
     text = (
-        "Errors of clock, map, mount and sensor, estimated together with the vehicle's parameters. Only what the "
-        "section above names is in the twin file."
+        "Errors of clock, map, mount and sensor, estimated together with the vehicle's parameters. Only the values of "
+        "the section above are in the twin file."
     )
-    return Section("Nuisances", text, Table(["what", "found", "± (one sigma)", "unit", ""], rows))
+    columns = ["nuisance parameter", "found", "± (one sigma)", "unit", ""]
+    return Section("Nuisances", text, Table(columns, rows))
 
 
 def _search_section(result: CalibrationResult) -> Section:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -37,11 +37,11 @@ class Band:
 
 @dataclass(frozen=True)
 class AxleEvidence:
-    """What a drive identifies of one axle: bands, the ranges it excited and the points it did not.
+    """Evidence of a drive on one axle: bands, the ranges it excited and the points it did not.
 
     ``spring``, ``push`` and ``pull`` are bands (or None); ``compression`` m and ``velocity`` m/s
     the excited ranges (push positive, pull negative); ``unexcited`` the (kind, abscissa) of
-    points that the drive says nothing about, kind one of "spring", "push", "pull".
+    points that the drive does not identify, kind one of "spring", "push", "pull".
     """
 
     spring: Band | None = None
@@ -68,25 +68,23 @@ def characteristics(
     *,
     evidence: Mapping[str, AxleEvidence] | None = None,
     names: Mapping[str, str] | None = None,
-    compression: float | None = None,
-    velocity: float | None = None,
     from_rest: bool = False,
 ) -> Figure:
     """An axle beside the other, springs above and dampers below; forces of one wheel at the wheel.
 
     ``vehicles`` maps a role ("before", "simulated", "truth") to a vehicle; ``evidence`` maps
     the axles to what the drive identifies. Jounce (push) is drawn to the right and upwards,
-    rebound (pull) to the left and downwards. ``compression`` m and ``velocity`` m/s limit the
-    axes; by default they cover what the drive excited, else the vehicles' points.
+    rebound (pull) to the left and downwards. The axes cover the range that the drive excited, else
+    the vehicles' points.
 
     With ``from_rest`` springs are drawn over the travel from standstill instead of the compression
-    from free length, and evidence is taken as such: that is what a drive can see. Where the free
-    length lies it cannot, since at rest every spring carries the same load.
+    from free length, and so is the evidence. A drive identifies the travel, not the free length,
+    since at rest every spring carries the same load.
     """
     names = {"before": "before calibration", "simulated": "calibrated", "truth": "truth", **(names or {})}
     evidence = evidence or {}
-    reach_x = compression or _reach([e.compression for e in evidence.values()], vehicles, "spring")
-    reach_v = velocity or _reach([e.velocity for e in evidence.values()], vehicles, "damper")
+    reach_x = _reach([e.compression for e in evidence.values()], vehicles, "spring")
+    reach_v = _reach([e.velocity for e in evidence.values()], vehicles, "damper")
     with style.using():
         fig = style.figure(9.2, 6.2)
         axles = list(next(iter(vehicles.values())).axles)
@@ -98,22 +96,16 @@ def characteristics(
             damper.set_title(f"{axle} damper".strip())
             _range(spring, found.compression, "excited by the drive")
             _range(damper, found.velocity)
+            panels = {"spring": spring, "push": damper, "pull": damper}
             for role, vehicle in vehicles.items():
-                own = vehicle.axles[axle]
-                rest = own.static_compression if from_rest else 0.0
-                _spring(
-                    spring,
-                    role,
-                    own.part,
-                    (-reach_x if from_rest else 0.0, reach_x),
-                    rest,
-                    names.get(role, role),
-                )
-                _damper(damper, role, own.part, reach_v)
-            simulated = vehicles.get("simulated")
-            if simulated is not None:
-                own = simulated.axles[axle]
-                _unexcited(spring, damper, found, own.part, own.static_compression if from_rest else 0.0)
+                for kind, curve in _curves(vehicle.axles[axle], from_rest).items():
+                    low, reach = (-reach_x, reach_x) if kind == "spring" else (0.0, reach_v)
+                    label = names.get(role, role) if kind == "spring" else None
+                    _draw(panels[kind], role, curve, (low, reach), label)
+            if "simulated" in vehicles:
+                simulated = _curves(vehicles["simulated"].axles[axle], from_rest)
+                for kind, x in found.unexcited:
+                    _ring(panels[kind], simulated[kind], x)
             _bands(spring, damper, found)
             spring.set_xlabel(
                 "travel from standstill [m]" if from_rest else "compression from free length [m]"
@@ -133,7 +125,7 @@ def characteristics(
 def _reach(
     ranges: Sequence[tuple[float, float] | None], vehicles: Mapping[str, HasAxles], kind: str
 ) -> float:
-    """How far an axis goes: 15 % beyond what was excited, else the last point of any vehicle."""
+    """Limit of an axis: 15 % beyond the excited range, else the last point of any vehicle."""
     excited = [max(abs(r[0]), abs(r[1])) for r in ranges if r is not None]
     if excited:
         return 1.15 * max(excited)
@@ -143,35 +135,41 @@ def _reach(
     return float(max(d.velocity[-1] for part in parts for d in (part.damper_push, part.damper_pull)))
 
 
-def _spring(axes: Axes, role: str, part: Any, span: tuple[float, float], rest: float, label: str) -> None:
-    points = part.spring.points
-    low, high = max(span[0] + rest, 0.0), span[1] + rest
-    inside = (points[0] > low) & (points[0] < high)
-    x = np.concatenate([[low], points[0][inside], [high]])
-    axes.plot(x - rest, force(points, x) / 1e3, color=COLOURS[role], label=label, **LINES[role])
-    _dots(axes, role, (points[0][inside] - rest, points[1][inside]), 1.0)
+class _Curve(NamedTuple):
+    """Points (k,) of a characteristic, drawn at ``sign`` (x - ``shift``), ``sign`` F(x)."""
+
+    points: tuple[Floats, Floats]
+    sign: float
+    shift: float
 
 
-def _damper(axes: Axes, role: str, part: Any, reach: float) -> None:
-    for damper, sign in ((part.damper_push, 1.0), (part.damper_pull, -1.0)):
-        points = damper.points
-        v = np.unique(np.concatenate([[0.0, reach], points[0][points[0] < reach]]))
-        axes.plot(sign * v, sign * force(points, v) / 1e3, color=COLOURS[role], **LINES[role])
-        inside = points[0] <= reach
-        _dots(axes, role, (points[0][inside], points[1][inside]), sign)
+def _curves(own: Suspension, from_rest: bool) -> dict[str, _Curve]:
+    """The characteristics of an axle by kind."""
+    return {
+        "spring": _Curve(own.part.spring.points, 1.0, own.static_compression if from_rest else 0.0),
+        "push": _Curve(own.part.damper_push.points, 1.0, 0.0),
+        "pull": _Curve(own.part.damper_pull.points, -1.0, 0.0),
+    }
 
 
-def _dots(axes: Axes, role: str, points: tuple[Floats, Floats], sign: float) -> None:
-    """The twin's own points; a truth is a curve and has none that matter."""
+def _draw(axes: Axes, role: str, curve: _Curve, span: tuple[float, float], label: str | None) -> None:
+    """A curve over a span of its abscissa, with its own points; a truth is a curve without points."""
+    (x, f), sign, shift = curve
+    low, high = max(span[0] + shift, 0.0), span[1] + shift
+    inside = (x > low) & (x <= high)
+    at = np.concatenate([[low], x[inside], [high]])
+    line = {"color": COLOURS[role], "label": label, **LINES[role]}
+    axes.plot(sign * (at - shift), sign * force(curve.points, at) / 1e3, **line)
     if role != "truth":
-        axes.plot(
-            sign * points[0],
-            sign * points[1] / 1e3,
-            "o",
-            color=COLOURS[role],
-            markersize=3.6,
-            zorder=LINES[role]["zorder"],
-        )
+        dots = {"color": COLOURS[role], "markersize": 3.6, "zorder": LINES[role]["zorder"]}
+        axes.plot(sign * (x[inside] - shift), sign * f[inside] / 1e3, "o", **dots)
+
+
+def _ring(axes: Axes, curve: _Curve, x: float) -> None:
+    """A ring about the point of a curve at ``x``."""
+    y = float(force(curve.points, np.array([x]))[0])
+    place = [curve.sign * (x - curve.shift)], [curve.sign * y / 1e3]
+    axes.plot(*place, "o", markersize=7, markerfacecolor="none", color=COLOURS["bound"], zorder=7)
 
 
 def _range(axes: Axes, span: tuple[float, float] | None, label: str | None = None) -> None:
@@ -196,23 +194,3 @@ def _bands(spring: Axes, damper: Axes, found: AxleEvidence) -> None:
                 zorder=1,
                 label="interval" if axes is spring else None,
             )
-
-
-def _unexcited(spring: Axes, damper: Axes, found: AxleEvidence, part: Any, rest: float) -> None:
-    curves = {
-        "spring": (spring, part.spring.points, 1.0, rest),
-        "push": (damper, part.damper_push.points, 1.0, 0.0),
-        "pull": (damper, part.damper_pull.points, -1.0, 0.0),
-    }
-    for kind, x in found.unexcited:
-        axes, points, sign, shift = curves[kind]
-        y = float(force(points, np.array([x]))[0])
-        axes.plot(
-            [sign * (x - shift)],
-            [sign * y / 1e3],
-            "o",
-            markersize=7,
-            markerfacecolor="none",
-            color=COLOURS["bound"],
-            zorder=7,
-        )

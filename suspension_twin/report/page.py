@@ -5,7 +5,7 @@ Example::
 
     page = Page("Calibration", "bump_15kmh, 3 passes")
     page.card("Gap", "0.31 m/s²", "was 1.52 m/s²", mark="good")
-    page.add(Section("In time", "What the sensor felt.", figure))
+    page.add(Section("In time", "Vertical acceleration at the sensor.", figure))
     page.write(folder / "index.html")
 """
 
@@ -14,7 +14,7 @@ from __future__ import annotations
 import html as _html
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
@@ -39,7 +39,7 @@ _WIDE = 5
 
 @dataclass(frozen=True)
 class Html:
-    """HTML taken as it is; the writer answers for its safety."""
+    """HTML that is not escaped; the writer is responsible for its safety."""
 
     text: str
 
@@ -82,7 +82,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Lead:
-    """What a page has to say, above everything: one sentence, and a few more below it in smaller letters."""
+    """The finding of a page, above everything: one sentence, and a few more below it in smaller letters."""
 
     sentence: str
     remarks: Sequence[str] = ()
@@ -92,7 +92,6 @@ class Lead:
 Content = Figure | Table | Row | Html
 
 
-@dataclass(frozen=True)
 class Section:
     """A heading, a text and any number of figures, tables and pieces of HTML under it.
 
@@ -100,12 +99,6 @@ class Section:
     ``**bold**`` and backticked code work; everything else is escaped. ``captions`` go under
     the figures, in their order. A ``folded`` section shows its heading until it is opened.
     """
-
-    title: str
-    text: str = ""
-    content: tuple[Content, ...] = ()
-    captions: tuple[str, ...] = ()
-    folded: bool = False
 
     def __init__(
         self,
@@ -115,11 +108,9 @@ class Section:
         captions: Sequence[str] = (),
         folded: bool = False,
     ) -> None:
-        object.__setattr__(self, "title", title)
-        object.__setattr__(self, "text", text)
-        object.__setattr__(self, "content", tuple(c for c in content if c is not None))
-        object.__setattr__(self, "captions", tuple(captions))
-        object.__setattr__(self, "folded", folded)
+        self.title, self.text, self.folded = title, text, folded
+        self.content = tuple(c for c in content if c is not None)
+        self.captions = tuple(captions)
 
 
 @dataclass
@@ -137,7 +128,7 @@ class Page:
     cards : list of Card
         Key figures in the row at the top.
     lead : Lead, optional
-        What the page has to say, in a sentence above everything.
+        The finding, in a sentence above everything.
 
     Examples
     --------
@@ -164,19 +155,16 @@ class Page:
 
     def render(self) -> str:
         """The whole page as one HTML text: no scripts, no links to other files."""
-        seen: dict[str, int] = {}
+        anchors = [re.sub(r"[^a-z0-9]+", "-", s.title.lower()).strip("-") or "section" for s in self.sections]
         sections = []
-        for number, section in enumerate(self.sections):
-            anchor = re.sub(r"[^a-z0-9]+", "-", section.title.lower()).strip("-") or "section"
-            seen[anchor] = seen.get(anchor, 0) + 1
-            if seen[anchor] > 1:
-                anchor = f"{anchor}-{seen[anchor]}"
+        for number, (section, anchor) in enumerate(zip(self.sections, anchors, strict=True)):
+            again = anchors[: number + 1].count(anchor)
             sections.append(
                 {
-                    "anchor": anchor,
+                    "anchor": anchor if again == 1 else f"{anchor}-{again}",
                     "title": section.title,
                     "text": _prose(section.text),
-                    "content": _content(section, number),
+                    "content": list(_content(section, number)),
                     "folded": section.folded,
                 }
             )
@@ -202,68 +190,50 @@ def _template() -> jinja2.Template:
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
+    environment.filters |= {"inline": _inline, "value": _value}
     return environment.from_string(resources.files(__package__).joinpath("page.html.j2").read_text("utf-8"))
 
 
-def _content(section: Section, number: int) -> list[Markup]:
-    out = []
-    figures = 0
+def _content(section: Section, number: int) -> Iterator[dict[str, object]]:
+    """Figures, tables and HTML as the template takes them."""
+    captions = iter(section.captions)
     for index, item in enumerate(section.content):
+        salt = f"{number}-{index}"
         if isinstance(item, Figure):
-            caption = section.captions[figures] if figures < len(section.captions) else ""
-            figures += 1
-            out.append(_figure(item, caption, section.title, f"{number}-{index}"))
+            yield {"kind": "figure", "figure": _figure(item, next(captions, ""), section.title, salt)}
         elif isinstance(item, Row):
-            captions = [*item.captions, *[""] * len(item.figures)]
+            notes = [*item.captions, *[""] * len(item.figures)]
             drawn = [
-                _figure(fig, caption, section.title, f"{number}-{index}-{k}")
-                for k, (fig, caption) in enumerate(zip(item.figures, captions, strict=False))
+                _figure(fig, notes[k], section.title, f"{salt}-{k}") for k, fig in enumerate(item.figures)
             ]
-            out.append(Markup(f'<div class="row">{"".join(drawn)}</div>'))
+            yield {"kind": "row", "figures": drawn}
         elif isinstance(item, Table):
-            out.append(_table(item))
+            yield {"kind": "table", **_table(item)}
         else:
-            out.append(Markup(item.text))
-    return out
+            yield {"kind": "html", "html": Markup(item.text)}
 
 
-def _figure(fig: Figure, caption: str, title: str, salt: str) -> Markup:
+def _figure(fig: Figure, caption: str, title: str, salt: str) -> dict[str, str]:
     label = _html.escape(caption or title, quote=True)
-    body = style.html(fig, salt=salt, label=label)
-    note = f"<figcaption>{_inline(caption)}</figcaption>" if caption else ""
-    return Markup(f"<figure>{body}{note}</figure>")
+    return {"drawing": Markup(style.html(fig, salt=salt, label=label)), "caption": caption}
 
 
-def _table(table: Table) -> Markup:
-    cells = [[c if isinstance(c, Cell) else Cell(c) for c in row] for row in table.rows]
-    for row in cells:
+def _table(table: Table) -> dict[str, object]:
+    """Headings and cells, each with whether its column holds numbers alone."""
+    rows = [[c if isinstance(c, Cell) else Cell(c) for c in row] for row in table.rows]
+    for row in rows:
         if len(row) != len(table.columns):
             raise ValueError(f"table has {len(table.columns)} columns, a row has {len(row)} cells")
     numeric = [
-        bool(cells) and all(isinstance(row[i].value, (int, float)) or row[i].value is None for row in cells)
+        bool(rows) and all(isinstance(row[i].value, int | float | None) for row in rows)
         for i in range(len(table.columns))
     ]
-    wide = ' class="wide"' if len(table.columns) >= _WIDE else ""
-    parts = [f'<div class="scroll"><table{wide}>']
-    if table.caption:
-        parts.append(f"<caption>{_inline(table.caption)}</caption>")
-    heads = "".join(
-        f'<th scope="col"{" class=n" if n else ""}>{_inline(c)}</th>'
-        for c, n in zip(table.columns, numeric, strict=True)
-    )
-    parts.append(f"<thead><tr>{heads}</tr></thead><tbody>")
-    for row in cells:
-        parts.append("<tr>")
-        for cell, is_number in zip(row, numeric, strict=True):
-            classes = " ".join(
-                c for c in ("n" if is_number else "", f"mark {cell.mark}" if cell.mark else "") if c
-            )
-            note = f' title="{_html.escape(cell.note, quote=True)}"' if cell.note else ""
-            parts.append(f'<td class="{classes}"{note}>' if classes else f"<td{note}>")
-            parts.append(f"{_value(cell.value)}</td>")
-        parts.append("</tr>")
-    parts.append("</tbody></table></div>")
-    return Markup("".join(parts))
+    return {
+        "caption": table.caption,
+        "wide": len(table.columns) >= _WIDE,
+        "heads": list(zip(table.columns, numeric, strict=True)),
+        "rows": [list(zip(row, numeric, strict=True)) for row in rows],
+    }
 
 
 def _value(value: object) -> str:
@@ -273,11 +243,11 @@ def _value(value: object) -> str:
         return "yes" if value else "no"
     if isinstance(value, float):
         return short(value)
-    return value.text if isinstance(value, Html) else _inline(str(value))
+    return Markup(value.text) if isinstance(value, Html) else _inline(str(value))
 
 
 def short(value: float, digits: int = 4) -> str:
-    """A number as people write it: four digits that matter, no trailing noise, true minus sign."""
+    """A number as people write it: four significant digits and a true minus sign."""
     if math.isnan(value):
         return "–"
     value += 0.0  # nothing has no sign
@@ -288,10 +258,10 @@ def short(value: float, digits: int = 4) -> str:
     return text.replace("-", "\u2212")
 
 
-def _inline(text: str) -> str:
+def _inline(text: str) -> Markup:
     text = _html.escape(text, quote=False)
     text = re.sub(r"`([^`]+)`", r"<code>\1</code>", text)
-    return re.sub(r"\*\*([^*]+)\*\*", r"<strong>\1</strong>", text)
+    return Markup(re.sub(r"\*\*([^*]+)\*\*", r"<strong>\1</strong>", text))
 
 
 def _prose(text: str) -> Markup:

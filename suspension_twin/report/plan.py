@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of a plan: what a set-up could show, at which size, and what it could never tell apart."""
+"""The page of a plan: smallest sizes of effects that a set-up could show, and pairs that it could not separate."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from suspension_twin.diagnosis import wording
-from suspension_twin.diagnosis.plan import APART, DETECTABLE, Pair, Plan, Shown
+from suspension_twin.diagnosis.plan import APART, DETECTABLE, Detectability, Pair, Plan
 from suspension_twin.report import style
 from suspension_twin.report.page import Cell, Lead, Mark, Page, Section, Table
 from suspension_twin.report.style import COLOURS
@@ -23,12 +23,12 @@ _NEAR = 1.25
 
 
 def plan_page(plan: Plan) -> Page:
-    """Make the page of a plan: what shows from which size, which pairs look alike, and what would separate them.
+    """Make the page of a plan: smallest sizes that show, pairs that look alike, and changes that would separate them.
 
     Parameters
     ----------
     plan : Plan
-        What :func:`~suspension_twin.diagnosis.plan.plan` returned.
+        Result of :func:`~suspension_twin.diagnosis.plan.plan`.
 
     Returns
     -------
@@ -73,8 +73,8 @@ def plan_page(plan: Plan) -> Page:
     page.add(
         Section(
             "How alike they are",
-            "Degrees between what is left of a cause (row) and the best that a rival (column) makes of it, after "
-            "recalibration: 90 is nothing in common, below about 20 they look alike.",
+            "Degrees between the residual of a cause (row) after recalibration and the nearest response of a rival "
+            "(column): 90 is nothing in common, below about 20 they look alike.",
             _matrix(plan),
         )
     )
@@ -84,7 +84,7 @@ def plan_page(plan: Plan) -> Page:
     return page
 
 
-def size_text(shown: Shown, size: float | None) -> str:
+def size_text(shown: Detectability, size: float | None) -> str:
     """A size with its unit; ``never`` for None. A change from neutral has a sign, a value has none."""
     if size is None:
         return _NEVER
@@ -94,7 +94,7 @@ def size_text(shown: Shown, size: float | None) -> str:
     return text
 
 
-def _row(s: Shown) -> tuple[object, ...]:
+def _row(s: Detectability) -> tuple[object, ...]:
     mark: Mark = "bad" if s.size is None else "good" if _less(s) <= 0.0 else "warn"
     return (
         wording.capital(wording.effect_at(s.effect, s.place)),
@@ -105,15 +105,15 @@ def _row(s: Shown) -> tuple[object, ...]:
     )
 
 
-def _less(s: Shown) -> float:
+def _less(s: Detectability) -> float:
     """Decades by which the smallest size is more severe than a typical one."""
     assert s.size is not None
     return float(np.log10(s.size / s.typical)) * (1.0 if s.largest >= s.typical else -1.0)
 
 
-def _alike(shown: Sequence[Shown]) -> list[list[Shown]]:
+def _alike(shown: Sequence[Detectability]) -> list[list[Detectability]]:
     """Places of one effect at which it shows from about the same size on, the one that shows least first."""
-    groups: list[list[Shown]] = []
+    groups: list[list[Detectability]] = []
     for s in sorted(shown, key=lambda s: (s.effect, s.parameter, s.size is None, -(s.size or 0.0))):
         last = groups[-1][0] if groups else None
         same = last is not None and (last.effect, last.parameter) == (s.effect, s.parameter)
@@ -125,7 +125,7 @@ def _alike(shown: Sequence[Shown]) -> list[list[Shown]]:
     return groups
 
 
-def _places(group: Sequence[Shown]) -> str:
+def _places(group: Sequence[Detectability]) -> str:
     """Name of an effect with those of its places."""
     if len(group) >= len(WHEELS):
         return f"{wording.effect_name(group[0].effect)}, any wheel"
@@ -133,7 +133,7 @@ def _places(group: Sequence[Shown]) -> str:
     return wording.effect_name(group[0].effect) + (f", {wording.listed(names)}" if names[0] else "")
 
 
-def sizes_picture(shown: Sequence[Shown]) -> Figure:
+def sizes_picture(shown: Sequence[Detectability]) -> Figure:
     """Draw a row for every fault: the smallest size over the typical one; places of about one size share a row."""
     groups = sorted(
         _alike(shown), key=lambda g: (g[0].size is None, 0.0 if g[0].size is None else _less(g[0]))
@@ -232,9 +232,9 @@ def _method(plan: Plan) -> Section:
     return Section(
         "Method",
         f"Nothing was measured. The twin was simulated over the road ({seconds}) with a phone's noise and an RTK "
-        "receiver, and so were small and large sizes of every effect. What the parameters of the vehicle and the "
-        "nuisances (clock, map, mount, biases) can make up for is projected off; what is left counts in units of the "
-        "residual that noise and a sound model leave, in the channel and drive where it is largest.\n\n"
+        "receiver, and so were small and large sizes of every effect. The part that the parameters of the "
+        "vehicle and the nuisance parameters (clock, map, mount, biases) can compensate is projected off; the rest "
+        "counts in units of noise and model discrepancy, in the channel and drive where it is largest.\n\n"
         f"A fault shows from {DETECTABLE:g} of these units on, and a pair is distinguished where the rival leaves "
         f"{APART:g}: figures learnt on diagnoses with sealed labels (`benchmarks/plan_confusion.py`). They hold for "
         "single faults on a road like those; a real diagnosis says what its own drives could show.",

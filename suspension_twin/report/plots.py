@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The plots that every report draws from: arrays in, a figure out, nothing kept.
+"""The plots of every report: arrays in, a figure out, nothing kept.
 
 Blue is measured, orange is simulated, grey dashes are the twin as it was before, green dots
 are the true values (of a simulated drive). Shapes: a signal is (n,), its stamps (n,) s.
@@ -13,17 +13,20 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.patches import FancyBboxPatch
 from matplotlib.ticker import MaxNLocator
 
 from suspension_twin.arrays import Floats
 from suspension_twin.report import style
-from suspension_twin.report.maps import path_map
 from suspension_twin.report.style import COLOURS, LINES
+from suspension_twin.vehicle.corners import CORNERS, WHEELS
 
 __all__ = [
     "Window",
     "agreement",
+    "car_from_above",
     "convergence",
     "in_frequency",
     "in_time",
@@ -201,21 +204,20 @@ def residual_by_road(
     *,
     before: Floats | None = None,
     profile: tuple[Floats, Floats] | None = None,
-    bin_width: float = 1.0,
     label: str = "gap, rms [m/s²]",
     profile_label: str = "road [cm]",
     names: Mapping[str, str] | None = None,
 ) -> Figure:
-    """Root mean square of the residual (n,) in bins along the road, over ``distance`` (n,) m.
+    """Root mean square of the residual (n,) in each metre along the road, over ``distance`` (n,) m.
 
     ``profile`` is (distance (k,), height (k,) or (k, 2) for left and right wheel, m) of the road, drawn
     under the bars so that a pothole and its gap stand above each other. NaNs and bins that the drive
     never entered stay empty. ``names`` renames "residual" and "before" in the legend.
     """
     names = {"residual": "measured − simulated", "before": "before calibration", **(names or {})}
-    edges = np.arange(np.floor(np.nanmin(distance)), np.nanmax(distance) + bin_width, bin_width)
+    edges = np.arange(np.floor(np.nanmin(distance)), np.nanmax(distance) + 1.0)
     if edges.size < 2:
-        edges = np.array([edges[0], edges[0] + bin_width])
+        edges = np.array([edges[0], edges[0] + 1.0])
     with style.using():
         fig = style.figure(9.2, 4.0 if profile is not None else 3.0)
         rows = fig.subplots(
@@ -273,7 +275,6 @@ def convergence(
     *,
     mean: Floats | None = None,
     stages: Sequence[tuple[float, str]] = (),
-    reference: tuple[float, str] | None = None,
     label: str = "cost",
 ) -> Figure:
     """Best (and mean) cost over the count of simulated candidates; ``stages`` are (evaluation, name) marks."""
@@ -285,13 +286,6 @@ def convergence(
         axes.plot(
             evaluations, best, color=COLOURS["simulated"], linewidth=1.8, label="best", drawstyle="steps-post"
         )
-        if reference is not None:
-            axes.axhline(
-                reference[0],
-                label=reference[1],
-                color=COLOURS["truth"],
-                **{k: v for k, v in LINES["truth"].items() if k != "zorder"},
-            )
         for position, name in stages:
             axes.axvline(position, color=COLOURS["soft"], linewidth=0.8, linestyle=":")
             axes.annotate(
@@ -334,3 +328,197 @@ def agreement(rows: Mapping[str, Mapping[str, float]], *, label: str = "gap, rms
         axes.margins(x=0.08)
         _legend(fig, axes)
     return fig
+
+
+# -- seen from above ---------------------------------------------------------------------------------
+
+_MAP_PIECES = 400
+
+
+def path_map(
+    x: Floats,
+    y: Floats,
+    *,
+    outline: Floats | None = None,
+    fixes: Floats | None = None,
+    value: Floats | None = None,
+    turn: float = 0.0,
+) -> Figure:
+    """The locked path on the ``map`` frame, seen from above, east to the right and north up.
+
+    ``outline`` (k, 2) m is the border of the road file, ``fixes`` (m, 2) the antenna's raw
+    positions; ``value`` (n,), the speed in km/h, colours the path.
+    ``turn`` rad turns the map counter-clockwise, so that a long road lies across the page; an
+    arrow then says where north is.
+    """
+    x, y = _turned(np.column_stack([x, y]), turn).T
+    outline = None if outline is None else _turned(outline, turn)
+    fixes = None if fixes is None else _turned(fixes, turn)
+    with style.using():
+        spans = [x, y] if outline is None else [outline[:, 0], outline[:, 1]]
+        width, height = (max(float(np.ptp(s)), 1.0) for s in spans)
+        fig = style.figure(9.2, float(np.clip(8.0 * height / width + 0.9, 2.6, 7.0)))
+        axes = fig.subplots()
+        if outline is not None:
+            border = np.vstack([outline, outline[:1]])
+            axes.fill(border[:, 0], border[:, 1], color=COLOURS["road"], alpha=0.35, linewidth=0)
+            axes.plot(border[:, 0], border[:, 1], color=COLOURS["soft"], linewidth=0.8, label="road file")
+        if fixes is not None:
+            axes.plot(
+                fixes[:, 0],
+                fixes[:, 1],
+                ".",
+                color=COLOURS["measured"],
+                markersize=2.5,
+                alpha=0.7,
+                label="GPS fixes (antenna)",
+                zorder=3,
+            )
+        if value is None:
+            axes.plot(x, y, color=COLOURS["simulated"], linewidth=1.6, label="locked path", zorder=4)
+        else:
+            # A few hundred pieces show every colour that the eye can tell apart.
+            at = np.unique(np.linspace(0, len(x) - 1, min(len(x), _MAP_PIECES)).astype(int))
+            points = np.column_stack([x, y])[at][:, None, :]
+            pieces = list(np.concatenate([points[:-1], points[1:]], axis=1))
+            lines = LineCollection(pieces, cmap="viridis", linewidth=2.2, zorder=4, label="locked path")
+            lines.set_array(value[at[:-1]])
+            axes.add_collection(lines)
+            fig.colorbar(lines, ax=axes, label="speed [km/h]", shrink=0.8, pad=0.01)
+        axes.plot(x[:1], y[:1], "o", color=COLOURS["truth"], markersize=7, label="start", zorder=6)
+        axes.plot(x[-1:], y[-1:], "s", color=COLOURS["bound"], markersize=6, label="end", zorder=6)
+        axes.set_aspect("equal", adjustable="datalim")
+        if turn:
+            north = _turned(np.array([[0.0, 28.0]]), turn)[0]
+            axes.annotate(
+                "N",
+                (0.045, 0.78),
+                xycoords="axes fraction",
+                xytext=north,
+                textcoords="offset points",
+                arrowprops={"arrowstyle": "<|-", "color": COLOURS["ink"], "shrinkA": 0, "shrinkB": 0},
+                ha="center",
+                va="center",
+            )
+        axes.set(xlabel="[m]" if turn else "east [m]", ylabel="[m]" if turn else "north [m]")
+        style.legend(fig, *axes.get_legend_handles_labels())
+    return fig
+
+
+def _turned(points: Floats, angle: float) -> Floats:
+    """Points (..., 2) turned counter-clockwise about the origin."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.asarray(points @ np.array([[c, s], [-s, c]]))
+
+
+#: m, of an ordinary car: overhangs, half width beyond the wheels' centres, and a wheel.
+_FRONT, _REAR, _SIDE, _LONG, _WIDE = 0.85, 0.95, 0.13, 0.62, 0.21
+
+
+def car_from_above(
+    wheels: Floats,
+    shares: Mapping[str, float],
+    *,
+    marked: Sequence[str] = (),
+    sensor: tuple[float, float] | None = None,
+    width: float = 4.5,
+) -> Figure:
+    """Draw a car from above, its front to the right.
+
+    Parameters
+    ----------
+    wheels : (4, 2) array
+        m, the wheels' places in ``base_link``: front left, front right, rear left, rear right.
+    shares : mapping of str to float
+        By corner, the share of the gap there; a corner that is left out stays grey.
+    marked : sequence of str
+        Corners with a ring about them: those that the answer names.
+    sensor : tuple of float, optional
+        x and y of the sensor in m.
+    width : float
+        Inches.
+
+    Returns
+    -------
+    Figure
+        With the name and the share of every wheel.
+
+    Examples
+    --------
+    >>> wheels = np.array([[2.7, 0.8], [2.7, -0.8], [0.0, 0.8], [0.0, -0.8]])
+    >>> figure = car_from_above(wheels, {"front_left": 0.5})
+    """
+    front, rear = float(wheels[:, 0].max()), float(wheels[:, 0].min())
+    half = float(np.abs(wheels[:, 1]).max()) + _SIDE
+    most = max(shares.values(), default=0.0)
+    with style.using():
+        fig = style.figure(width, 0.72 * width)
+        axes = fig.subplots()
+        edge = {"edgecolor": COLOURS["soft"], "linewidth": 0.9}
+        length, middle = front - rear + _FRONT + _REAR, 0.5 * (front + rear)
+        body = {"facecolor": COLOURS["road"], "alpha": 0.35, **edge}
+        cabin = {"facecolor": COLOURS["grid"], "alpha": 0.9, **edge}
+        _box(axes, (rear - _REAR, -half), (length, 2 * half), 0.45, **body)
+        _box(axes, (middle - 1.15, -0.78 * half), (1.95, 1.56 * half), 0.25, **cabin)
+        for (x, y), corner, name in zip(wheels, CORNERS, WHEELS, strict=True):
+            share = shares.get(corner, 0.0)
+            _wheel(axes, float(x), float(y), share / most if most else 0.0, corner in marked)
+            outside = np.sign(y) * (half + 0.3)
+            text = f"{name}\n{100 * share:.0f} %" if corner in shares else name
+            axes.text(
+                x,
+                outside,
+                text,
+                ha="center",
+                va="bottom" if y > 0 else "top",
+                color=COLOURS["ink"] if corner in marked else COLOURS["soft"],
+                fontweight="bold" if corner in marked else "normal",
+                fontsize=8.5,
+            )
+        if sensor is not None:
+            axes.plot(*sensor, marker="D", markersize=6, color=COLOURS["measured"], zorder=5)
+            axes.annotate(
+                "sensor",
+                sensor,
+                xytext=(0, -12),
+                textcoords="offset points",
+                ha="center",
+                color=COLOURS["measured"],
+                fontsize=8,
+            )
+        axes.annotate(
+            "",
+            (front + _FRONT + 0.55, 0.0),
+            (front + _FRONT + 0.1, 0.0),
+            arrowprops={"arrowstyle": "-|>", "color": COLOURS["soft"]},
+        )
+        axes.set_aspect("equal")
+        axes.set_xlim(rear - _REAR - 0.2, front + _FRONT + 0.65)
+        axes.set_ylim(-half - 0.9, half + 0.9)
+        axes.set_axis_off()
+    return fig
+
+
+def _box(
+    axes: Axes, corner: tuple[float, float], size: tuple[float, float], round_: float, **look: Any
+) -> None:
+    """A rounded rectangle with its ``corner`` at x, y and its ``size`` in x and y."""
+    (x, y), (length, width) = corner, size
+    patch = FancyBboxPatch(
+        (x + round_, y + round_),
+        length - 2 * round_,
+        width - 2 * round_,
+        boxstyle=f"round,pad={round_}",
+        **look,
+    )
+    axes.add_patch(patch)
+
+
+def _wheel(axes: Axes, x: float, y: float, strength: float, marked: bool) -> None:
+    """A wheel, the stronger coloured the more of the gap is at it."""
+    place, size = (x - 0.5 * _LONG - 0.02, y - 0.5 * _WIDE - 0.02), (_LONG + 0.04, _WIDE + 0.04)
+    for colour, alpha in ((COLOURS["soft"], 0.55), (COLOURS["simulated"], strength)):
+        _box(axes, place, size, 0.02, facecolor=colour, edgecolor="none", alpha=alpha, zorder=3)
+    if marked:
+        ring: dict[str, Any] = {"markersize": 27, "fillstyle": "none", "markeredgewidth": 2.0, "zorder": 6}
+        axes.plot([x], [y], "o", color=COLOURS["simulated"], **ring)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One look for every figure: roles have colours, not lines.
+"""The style of all figures: colours and lines by role.
 
-The colours are Okabe and Ito's, told apart by the usual forms of colour blindness and, in
-print, by the line styles that go with them. A figure is drawn with the light colours; inside
+The colours are Okabe and Ito's, which readers with the usual forms of colour blindness can distinguish; line
+styles distinguish the roles in print. A figure is drawn with the light colours; inside
 a page :func:`svg` puts CSS variables in their place, so that the same figure follows the
 reader's light or dark setting.
 """
@@ -37,7 +37,7 @@ __all__ = [
     "using",
 ]
 
-#: What a colour means, on a light page. Every value is unique: :func:`svg` finds the role by it.
+#: Colours by role on a light page. Every value is unique: :func:`svg` finds the role by it.
 COLOURS: Final[Mapping[str, str]] = {
     "measured": "#0072B2",
     "simulated": "#D55E00",

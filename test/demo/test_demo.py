@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``suspension-twin demo``, once for real, and what it is made of."""
+"""``suspension-twin demo``, run once as a user runs it, and its parts."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_the_gap_closes_on_the_drive_learnt_from_and_on_the_one_not_seen(demo):
 
 
 def test_the_twin_file_is_nearer_to_the_truth_where_the_drive_moved_it(demo):
-    """Dampers up to 0.3 m/s, against what really drove."""
+    """Dampers up to 0.3 m/s, against the true ones."""
     folder, _ = demo
     found = load_twin(folder / "suspension_twin_demo" / "twin.yaml").vehicle
     start = load_twin(folder / "suspension_twin_demo" / "start.yaml").vehicle

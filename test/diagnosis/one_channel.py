@@ -20,10 +20,10 @@ def problem_over(lengths: list[int], values: np.ndarray, active: tuple[bool, ...
     """As much of a problem as localisation and shrink look at: drives of ``lengths`` samples end to end, one channel,
     whose residuals are compared as they are."""
     ends = np.cumsum([0, *lengths])
-    stretches = [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    segments = [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
     measured = SimpleNamespace(
         channels=(CHANNEL,),
-        segments=stretches,
+        segments=segments,
         drives=list(range(len(lengths))),
         rate=RATE,
         independent=0.4,

@@ -24,17 +24,18 @@ from suspension_twin.diagnosis.decision import (
     answers_of,
     decide,
     learnt,
+    prior_means,
     usual_level,
 )
 from suspension_twin.errors import InputError
 
 PARAMETERS = {"strut_friction": ("front_force", "rear_force"), "payload": ("mass", "x", "y")}
-SIZE = {"value": 200.0, "z": 0.5, "far": 0.5, "bound": False}
+SIZE = {"value": 200.0, "far": 0.5, "bound": False}
 CHANNELS = ("vertical_acceleration", "pitch_rate")
 
 
 def row(*effects: str, gain: float = 0.0, left: float = 1.0, decoy: bool = False) -> dict[str, Any]:
-    """A hypothesis that gains so many nats and leaves this share of a gap of 0.4 of the motion."""
+    """Row of a hypothesis with a tempered gain in nats that leaves a share of a gap of 0.4 of the motion."""
     shrink = 1.0 - left
     channel = {
         "before": 0.4,
@@ -43,7 +44,6 @@ def row(*effects: str, gain: float = 0.0, left: float = 1.0, decoy: bool = False
         "low": shrink - 0.05,
         "high": shrink + 0.05,
         "worst": shrink,
-        "fitted": True,
         "written": {"before": 0.5, "after": 0.4 * left, "shrink": 1 - 0.8 * left, "low": 0.0, "high": 0.9},
     }
     return {
@@ -52,8 +52,6 @@ def row(*effects: str, gain: float = 0.0, left: float = 1.0, decoy: bool = False
         "tempered_gain": gain,
         "gain": 10.0 * gain,
         "gain_fitted": 11.0 * gain,
-        "folds": 1.0 if gain > 0 else 0.5,
-        "signs": 1.0,
         "level": 0.4 * left,
         "level_fitted": 0.4 * left,
         "mean_squares": dict.fromkeys(CHANNELS, 8.0 * left**2 + 1.0),
@@ -61,9 +59,6 @@ def row(*effects: str, gain: float = 0.0, left: float = 1.0, decoy: bool = False
         "parameters": {e: {p: dict(SIZE) for p in PARAMETERS.get(e, ("size",))} for e in effects},
         "added_low": shrink - 0.05,
         "usual": None,
-        "where": ["strut"],
-        "resonance": False,
-        "undetectable": 0.0,
         "detectable": True,
         "tone": 0.0,
         "band": 1.0,
@@ -96,14 +91,14 @@ def others(count: int = 5) -> list[dict[str, Any]]:
 
 
 def features(case: dict[str, Any], *causes: str) -> dict[str, float]:
-    """What an answer is judged by."""
+    """Features of an answer."""
     (answer,) = (a for a in answers_of(case) if a.causes == causes)
     return dict(zip(FEATURES, answer.features.tolist(), strict=True))
 
 
 @pytest.mark.parametrize("reference", [True, False])
 @pytest.mark.parametrize("share", [1e-9, 0.25, 0.9, 1.0, 1.3])
-def test_what_is_explained_is_a_share_of_a_large_residuals_mean_square(reference: bool, share: float) -> None:
+def test_explained_is_a_share_of_the_mean_square_of_a_large_residual(reference: bool, share: float) -> None:
     """Where the residual is far above the expected discrepancy."""
     level, square = 1e3, 1e7
     some = row("strut_friction", gain=3.0, left=0.5)
@@ -118,7 +113,7 @@ def test_what_is_explained_is_a_share_of_a_large_residuals_mean_square(reference
 
 
 @pytest.mark.parametrize("reference", [True, False])
-def test_what_remains_is_judged_as_no_gap_would_be_and_by_the_share_that_is_not_explained(
+def test_excess_of_a_cause_is_that_of_no_gap_times_the_unexplained_share(
     reference: bool,
 ) -> None:
     some = row("strut_friction", gain=30.0, left=0.6)
@@ -146,7 +141,7 @@ def test_a_small_residual_counts_by_its_square(reference: bool) -> None:
     assert features(case, "strut_friction")["explained"] == pytest.approx(1.0 - 0.5**2, abs=1e-3)
 
 
-def test_what_remains_counts_by_its_logarithm() -> None:
+def test_the_remaining_residual_counts_by_its_logarithm() -> None:
     case = evidence(*others())
     found = []
     for square in (4.2, 7.0):
@@ -156,7 +151,7 @@ def test_what_remains_counts_by_its_logarithm() -> None:
 
 
 @pytest.mark.parametrize("left, above", [(0.1, 0.0), (0.25, 0.0), (0.5, np.log(2.0)), (1.0, np.log(4.0))])
-def test_what_remains_is_compared_with_what_remains_on_the_reference(left: float, above: float) -> None:
+def test_the_remaining_residual_is_compared_with_that_on_the_reference(left: float, above: float) -> None:
     """The gap is 0.4 of the motion, and 0.1 of it remains on the reference."""
     rows = (row("strut_friction", gain=3.0, left=left), row("payload", gain=2.0, left=0.75))
     case = evidence(*rows)
@@ -170,7 +165,7 @@ def test_what_remains_is_compared_with_what_remains_on_the_reference(left: float
     assert features(alone, "unknown")["unknown_above_reference"] == 0.0
 
 
-def test_evidence_is_that_over_vehicles_with_and_without_what_was_there_before() -> None:
+def test_evidence_is_marginal_over_vehicles_with_and_without_pre_existing_effects() -> None:
     some = row("payload", gain=2.0, left=0.5) | {"since": 1.5}
     case = evidence(some)
     case["base"]["since"] = 0.7
@@ -270,12 +265,12 @@ def test_tones_places_and_clocks_speak_against_no_gap() -> None:
         (("a", "b", "c"), ("a",), 0.5),
     ],
 )
-def test_what_a_verdict_costs(said: tuple[str, ...], true: tuple[str, ...], cost: float) -> None:
+def test_costs_of_a_verdict(said: tuple[str, ...], true: tuple[str, ...], cost: float) -> None:
     assert Costs(wrong=5.0, missed=2.0, unknown=3.0, vague=0.25).of(said, true) == cost
 
 
 @pytest.mark.parametrize("reference", [True, False])
-def test_what_closes_the_gap_and_gains_far_more_than_all_others_is_named(reference: bool) -> None:
+def test_an_effect_that_closes_the_gap_and_gains_far_more_than_all_others_is_named(reference: bool) -> None:
     found = decide(evidence(row("strut_friction", gain=60.0, left=0.2), *others(), reference=reference))
     assert found.chosen == ("strut_friction",) and found.candidates[0] == ("strut_friction",)
     assert answer_of(evidence(*others()), decide(evidence(*others())))["combination"] == []
@@ -337,7 +332,7 @@ def test_more_evidence_makes_no_cause_less_probable(gain: float, more: float, re
 def test_weights_have_the_signs_that_physics_dictates_and_say_where_they_come_from() -> None:
     known = learnt()
     assert len(FEATURES) <= 40
-    for value, (name, sign) in zip(known.values, FEATURES.items(), strict=True):
+    for value, name, sign in zip(known.values, FEATURES, prior_means(), strict=True):
         assert sign == 0.0 or value * sign >= 0.0, name
     assert 0.0 < known.conformal < 0.5
     assert {"cases", "commit", "seeds", "evidence_sha256"} <= set(known.source)
@@ -404,7 +399,8 @@ def test_a_kept_diagnosis_is_decided_anew(tmp_path: Path, capsys: pytest.Capture
     assert main(["diagnose", "--from-evidence", str(tmp_path), "--out", str(tmp_path / "anew")]) == 0
     anew = json.loads((tmp_path / "anew" / "diagnosis.json").read_text())
     assert anew == {**deepcopy(before), "message": anew["message"]}
-    assert "strut friction" in capsys.readouterr().out.lower().replace("_", " ")
+    printed = capsys.readouterr().out
+    assert "dry friction in the struts" in printed and "strut_friction" not in printed
     assert main(["diagnose", "--from-evidence", str(tmp_path), "--costs", "wrong=1e9"]) == 0
     assert capsys.readouterr().out.splitlines()[1].startswith("No cause is certain enough to be named")
     assert main(["diagnose", "--from-evidence", str(tmp_path / "nowhere")]) == 2
@@ -416,10 +412,10 @@ def test_a_kept_diagnosis_is_decided_anew(tmp_path: Path, capsys: pytest.Capture
 
 # -- every feature by the formula of its table, between its limits and at them --------------------------------------
 
-#: Of docs/numbers.md: what a complete model leaves, what tones, bands and places reach without any error, and the
-#: severity up to which an effect is as small as errors of twin files are.
+#: Of docs/numbers.md: residual of cars without any fault, and the severity up to which an effect is as small as errors
+#: of twin files are.
 SQUARE, LEVEL, TONE, BAND, PLACE, RATIO = 1.5, 0.14, 10.0, 2.7, 0.27, 1.5
-#: What speaks for an answer and what against it; whether a car without a reference is unknown is free.
+#: Features that raise and that lower the probability of an answer; the sign for a car without a reference is free.
 FOR = {
     "gain", "margin", "shrink", "proven", "throughout", "tone", "explained", "complete", "added", "added_proven",
     "unknown_best_excess", "unknown_above_reference", "unknown_open",
@@ -435,7 +431,7 @@ def cause(*effects: str, gain: float = 3.0, left: float = 0.5, **changes: Any) -
 
 
 def in_three_channels(*rows: dict[str, Any], reference: bool = True) -> dict[str, Any]:
-    """With a third channel that no road drives, in which everything is another."""
+    """Evidence with a third channel, which no road drives and in which all values differ."""
     case = evidence(*rows, reference=reference)
     case["case"]["channels"]["roll_rate"] = {"noise": 0.02, "motion": 9.0, "gap": 0.5, "driven": False}
     for one in (case["base"], *rows):
@@ -462,9 +458,10 @@ def unknown(case: dict[str, Any]) -> dict[str, float]:
 
 
 def test_every_feature_speaks_for_or_against_an_answer() -> None:
-    assert {name for name, prior in FEATURES.items() if prior > 0.0} == FOR
-    assert {name for name, prior in FEATURES.items() if prior < 0.0} == AGAINST
-    assert {name for name, prior in FEATURES.items() if prior == 0.0} == {"unknown_blind"}
+    priors = dict(zip(FEATURES, prior_means(), strict=True))
+    assert {name for name, prior in priors.items() if prior > 0.0} == FOR
+    assert {name for name, prior in priors.items() if prior < 0.0} == AGAINST
+    assert {name for name, prior in priors.items() if prior == 0.0} == {"unknown_blind"}
 
 
 def test_weights_are_those_of_the_file_by_name() -> None:
@@ -511,7 +508,7 @@ def test_gains_count_in_proportion_when_small_and_by_their_logarithm_when_large(
     assert found == pytest.approx(np.log(gain + np.sqrt(gain**2 + 1.0)), abs=1e-9)
 
 
-def test_evidence_counts_beyond_what_was_there_before_only_where_that_is_known() -> None:
+def test_evidence_counts_beyond_pre_existing_effects_only_where_these_are_known() -> None:
     def nats(base: float | None, **own: Any) -> float:
         case = evidence(cause("payload", gain=2.0, **own))
         case["base"]["since"] = base
@@ -543,7 +540,7 @@ def test_a_margin_is_over_the_best_rival_or_over_none() -> None:
     assert features(evidence(cause("a", gain=0.4)), "a")["margin"] == pytest.approx(np.arcsinh(0.4))
 
 
-def test_what_a_set_adds_is_over_its_best_part_or_over_nothing() -> None:
+def test_evidence_added_by_a_set_is_over_its_best_part_or_over_nothing() -> None:
     def added(*rows: dict[str, Any]) -> float:
         return float(np.sinh(features(evidence(*rows), "a", "b", "c")["added"]))
 
@@ -555,7 +552,7 @@ def test_what_a_set_adds_is_over_its_best_part_or_over_nothing() -> None:
 
 
 @pytest.mark.parametrize(("added_low", "proven"), [(0.05, 0.05), (0.9, 0.9), (1.7, 1.0)])
-def test_what_each_member_of_a_set_adds_for_sure(added_low: float, proven: float) -> None:
+def test_lower_end_of_the_shrink_that_each_effect_of_a_set_adds(added_low: float, proven: float) -> None:
     case = evidence(cause("a", "b", added_low=added_low), cause("a", added_low=0.4))
     assert features(case, "a", "b")["added_proven"] == pytest.approx(proven)
     assert features(case, "a")["added_proven"] == features(case, "a")["added"] == 0.0
@@ -621,7 +618,7 @@ def test_shrinks_count_in_the_driven_channels(shrinks: tuple[float, ...], best: 
     assert found["proven"] == pytest.approx(min(max(shrinks), 1.0))
 
 
-def test_without_a_driven_channel_nothing_shrinks_and_what_is_proven_has_limits() -> None:
+def test_without_a_driven_channel_nothing_shrinks_and_the_proven_shrink_has_limits() -> None:
     case = in_three_channels(cause("payload"))
     del case["case"]["channels"]["vertical_acceleration"], case["case"]["channels"]["pitch_rate"]
     for one in (case["base"], *case["hypotheses"]):
@@ -649,7 +646,9 @@ def test_without_a_driven_channel_nothing_shrinks_and_what_is_proven_has_limits(
         (-1.0, -5.0, 2.0),
     ],
 )
-def test_what_of_a_gain_is_lost_on_held_out_road_was_chance(gain: float, fitted: float, lost: float) -> None:
+def test_the_share_of_a_gain_that_is_lost_on_held_out_road_is_chance(
+    gain: float, fitted: float, lost: float
+) -> None:
     case = evidence(cause("payload") | {"gain": gain, "gain_fitted": fitted})
     assert features(case, "payload")["chance"] == pytest.approx(lost)
 
@@ -667,7 +666,7 @@ def test_what_of_a_gain_is_lost_on_held_out_road_was_chance(gain: float, fitted:
         (12.0, 11.0, np.log(12.0 / 11.0)),
     ],
 )
-def test_a_tone_that_a_cause_silences(before: float, after: float, fall: float) -> None:
+def test_fall_of_the_strongest_tone(before: float, after: float, fall: float) -> None:
     case = evidence(cause("payload", tone=after))
     case["base"]["tone"] = before
     assert features(case, "payload")["tone"] == pytest.approx(fall)
@@ -677,7 +676,7 @@ def test_a_tone_that_a_cause_silences(before: float, after: float, fall: float) 
         one["tone"] = silent
 
 
-def test_patterns_and_clocks_that_were_not_looked_for_say_nothing() -> None:
+def test_patterns_and_clocks_that_were_not_evaluated_are_zero() -> None:
     case = evidence(*others())
     del case["base"]["tone"]
     case["base"] |= {"band": 1e3, "place": 1.0}
@@ -685,7 +684,7 @@ def test_patterns_and_clocks_that_were_not_looked_for_say_nothing() -> None:
 
 
 @pytest.mark.parametrize("name", ["tone", "band", "place"])
-def test_each_pattern_counts_above_what_discrepancy_has(name: str) -> None:
+def test_each_pattern_counts_above_that_of_model_discrepancy(name: str) -> None:
     usual = {"tone": TONE, "band": BAND, "place": PLACE}
     case = evidence(*others())
     for share, over in ((0.0, 0.0), (0.9, 0.0), (1.0, 0.0), (2.0, np.log(2.0)), (1e3, 1.5)):
@@ -725,7 +724,7 @@ def test_clocks_near_their_bounds_that_are_so_by_chance(clocks: float, chance: f
         (0.0, 1e9, 1e-6, 0.0),
     ],
 )
-def test_what_remains_without_a_reference(level: float, motion: float, noise: float, left: float) -> None:
+def test_excess_without_a_reference(level: float, motion: float, noise: float, left: float) -> None:
     """Over what a complete model leaves and over twice the noise, whichever is less; of the first channel."""
     case = evidence(reference=False)
     case["base"]["level_fitted"] = level
@@ -747,7 +746,7 @@ def test_what_remains_without_a_reference(level: float, motion: float, noise: fl
         ((1e9, 1.0, 0.1), 0.01, 0.0),
     ],
 )
-def test_what_remains_beside_a_reference(squares: tuple[float, ...], level: float, left: float) -> None:
+def test_excess_with_a_reference(squares: tuple[float, ...], level: float, left: float) -> None:
     """In units of the noise model of the reference, in the worst driven channel."""
     case = in_three_channels()
     case["case"]["channels"]["vertical_acceleration"] |= {"motion": 1.5, "noise": 0.05}
@@ -762,7 +761,7 @@ def explained_and_complete(case: dict[str, Any]) -> tuple[float, float]:
     return found["explained"], found["complete"]
 
 
-def test_what_is_explained_and_what_of_all_that_any_removes_beside_a_reference() -> None:
+def test_explained_and_complete_with_a_reference() -> None:
     """Of the mean squares of the driven channels; levels do not count."""
     some, other = cause("payload", level_fitted=77.0), cause("other", level_fitted=1e-9)
     case = in_three_channels(some, other)
@@ -776,7 +775,7 @@ def test_what_is_explained_and_what_of_all_that_any_removes_beside_a_reference()
     assert features(case, "other")["complete"] == pytest.approx(1.0)
 
 
-def test_what_is_explained_and_what_of_all_that_any_removes_without_one() -> None:
+def test_explained_and_complete_without_a_reference() -> None:
     """Of the square of the residual as a share of the motion; mean squares do not count."""
     some, other = cause("payload", level_fitted=0.3), cause("other", level_fitted=0.2)
     case = in_three_channels(some, other, reference=False)
@@ -789,7 +788,7 @@ def test_what_is_explained_and_what_of_all_that_any_removes_without_one() -> Non
 
 
 @pytest.mark.parametrize("reference", [True, False])
-def test_what_makes_it_worse_explains_nothing(reference: bool) -> None:
+def test_a_hypothesis_that_increases_the_residual_explains_nothing(reference: bool) -> None:
     worse, better = cause("payload", left=2.0), cause("other", left=0.5)
     assert explained_and_complete(evidence(worse, better, reference=reference)) == (0.0, 0.0)
     # where no hypothesis removes anything there is no share of it
@@ -828,7 +827,7 @@ def test_held_out_residual_over_that_on_the_reference(level: float, reference: f
         ({"worst": None}, 0.0),
     ],
 )
-def test_what_a_cause_makes_worse_elsewhere(change: dict[str, Any], lost: float) -> None:
+def test_largest_growth_of_the_gap_in_another_channel(change: dict[str, Any], lost: float) -> None:
     some = cause("payload")
     some["channels"]["pitch_rate"] |= change
     assert features(evidence(some), "payload")["lost"] == pytest.approx(lost)
@@ -882,7 +881,7 @@ def test_unknown_is_likely_where_only_a_set_explains() -> None:
 
 @pytest.mark.parametrize("reference", [True, False])
 def test_unknown_is_as_likely_as_the_best_cause_leaves_much(reference: bool) -> None:
-    """The best is the one that explains most, and it counts no more than what is there without any."""
+    """The best cause explains most; it counts no more than recalibration alone."""
     left = {"a": 0.9, "b": 0.5, "c": 0.7}
     rows = [cause(e, left=share) for e, share in left.items()]
     found = unknown(evidence(*rows, reference=reference))
@@ -897,7 +896,7 @@ def test_unknown_is_as_likely_as_the_best_cause_leaves_much(reference: bool) -> 
 # -- from features to a verdict --------------------------------------------------------------------------------------
 
 
-def test_costs_are_as_documented_and_compare_what_is_said() -> None:
+def test_costs_are_as_documented_and_compare_answers() -> None:
     costs = Costs()
     assert (costs.wrong, costs.missed, costs.unknown, costs.vague) == (4.0, 1.0, 1.0, 0.5)
     for text in ("", "a", "unknown", "a b"):

@@ -13,9 +13,8 @@ import pytest
 
 from suspension_twin.cli.main import main
 from suspension_twin.diagnosis import search
-from suspension_twin.diagnosis.answer import decided_anew
+from suspension_twin.diagnosis.answer import decided_anew, write
 from suspension_twin.diagnosis.decision import Costs
-from suspension_twin.diagnosis.output import write
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.diagnosis.run import diagnose
 from suspension_twin.drive.read import read_drive

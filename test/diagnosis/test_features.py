@@ -11,19 +11,19 @@ import pytest
 from one_channel import CHANNEL, RATE, problem_over
 from scipy.signal import butter, sosfilt
 
-from suspension_twin.diagnosis import features
+from suspension_twin.diagnosis import features, where
 from suspension_twin.diagnosis.shrink import RemainingResidual
 from suspension_twin.inference.hypothesis import Hypothesis
 
 
 def road_motion(seed: int, samples: int) -> np.ndarray:
-    """(n,) something like a body's vertical acceleration on a rough road, m/s²."""
+    """(n,) band-passed noise like the vertical acceleration of a body on a rough road, m/s²."""
     white = np.random.default_rng(seed).standard_normal(samples)
     return np.asarray(sosfilt(butter(2, [1.0, 12.0], "band", fs=RATE, output="sos"), white))
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_share_of_the_motion_is_even_and_an_order_is_not(seed: int) -> None:
+def test_model_discrepancy_is_even_over_frequency_and_an_order_is_not(seed: int) -> None:
     n = 4000
     motion, own = road_motion(seed, n), road_motion(seed + 100, n)
     order = 0.3 * np.sin(2 * np.pi * 7.0 * np.arange(n) / RATE)
@@ -32,14 +32,14 @@ def test_a_share_of_the_motion_is_even_and_an_order_is_not(seed: int) -> None:
 
     def unevenness(measured: np.ndarray, rest: np.ndarray) -> float:
         residual = RemainingResidual(rest, rest)
-        return features.unevenness(problem_over([n], measured[:, None]), residual, {CHANNEL: 0.005})
+        return where.unevenness(problem_over([n], measured[:, None]), residual, {CHANNEL: 0.005})
 
     assert unevenness(motion, left) < 2.7
     assert unevenness(motion + order, loud) > 3.0
 
 
 def fitted(hypothesis: Hypothesis, nuisances: dict[str, float], values: dict[str, float]) -> tuple[Any, Any]:
-    """A bench and evidence with these nuisances, in spreads, and these parameters of the effects."""
+    """A problem and evidence with these nuisances, in spreads, and these parameters of the effects."""
     names = list(nuisances)
     given = SimpleNamespace(names=names, spread=np.full(len(names), 0.002))
     twin = SimpleNamespace(vehicle=SimpleNamespace(mass=1500.0))
@@ -63,7 +63,7 @@ def usual(
 
 
 @pytest.mark.parametrize(("mass", "ratio"), [(30.0, 0.5), (60.0, 1.0), (150.0, 2.5)])
-def test_a_payload_is_compared_with_what_a_file_is_off_by(mass: float, ratio: float) -> None:
+def test_a_payload_is_compared_with_the_usual_error_of_a_twin_file(mass: float, ratio: float) -> None:
     assert usual("payload", {"mass": mass, "x": 0.5, "y": 0.0}, {}) == pytest.approx(ratio)
     assert usual("tyre_envelope", {"length": 0.18}, {}) == pytest.approx(1.5)
     assert usual("sensor_clipping", {"range": 20.0}, {}) is None
@@ -96,7 +96,7 @@ def test_a_payload_is_compared_with_what_a_file_is_off_by(mass: float, ratio: fl
         ("rebound_stop", {"front_clearance": 0.03, "rear_clearance": 0.03, "stiffness": 4.0e4}, False),
     ],
 )
-def test_what_every_car_has_is_usual(effect: str, values: dict[str, float], usual_size: bool) -> None:
+def test_sizes_of_sound_cars_are_usual(effect: str, values: dict[str, float], usual_size: bool) -> None:
     ratio = usual(effect, values, {})
     assert ratio is not None and (ratio < 0.6 if usual_size else ratio > 1.7)
     # where a reference shows the same car, what it had before is in both; a clock is another on every drive
@@ -104,7 +104,7 @@ def test_what_every_car_has_is_usual(effect: str, values: dict[str, float], usua
     assert with_reference == (ratio if effect == "clock_drift" else None)
 
 
-def test_a_clock_that_is_late_within_what_is_normal_at_either_end_does_not_drift() -> None:
+def test_clock_offsets_within_their_prior_at_both_ends_are_no_drift() -> None:
     def ratio(ppm: float, clocks: dict[str, float]) -> float:
         found = usual("clock_drift", {"drift_ppm": ppm}, clocks, changed=True)
         assert found is not None
@@ -120,7 +120,7 @@ def test_a_clock_that_is_late_within_what_is_normal_at_either_end_does_not_drift
     assert ratio(100.0, {}) > 1.7  # where no clock's error is known only its rate shows
 
 
-def test_what_is_not_finite_is_none() -> None:
+def test_values_that_are_not_finite_are_none() -> None:
     assert features._plain({"a": np.float64("nan"), "b": (1, np.inf, True), "c": "x"}) == {
         "a": None,
         "b": [1, None, True],

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is left on one stretch of road: found where it lies, named by what the road would have to be there."""
+"""A residual concentrated on one section of road: its place, and the error of the road file that explains it."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from suspension_twin.diagnosis.local_road_error import (
+from suspension_twin.diagnosis.request import DiagnosisRequest
+from suspension_twin.diagnosis.run import diagnose
+from suspension_twin.diagnosis.shrink import RemainingResidual
+from suspension_twin.diagnosis.where import (
     RoadErrorMatch,
     concentrated_section,
     no_concentration,
     no_road_error,
 )
-from suspension_twin.diagnosis.request import DiagnosisRequest
-from suspension_twin.diagnosis.run import diagnose
-from suspension_twin.diagnosis.shrink import RemainingResidual
 from suspension_twin.report.diagnosis import diagnosis_page
 from suspension_twin.road import load_road, write_road
 
@@ -29,8 +29,8 @@ NOISE = {CHANNEL: 0.02}
 SPEEDS = (12.0, 8.0, 10.0)  # m/s
 
 
-def bench(active: tuple[bool, ...], seed: int = 0) -> tuple[Any, list[np.ndarray]]:
-    """What ``gathered`` asks of a bench: drives over 200 m, rougher here and there; and where each of them is."""
+def problem(active: tuple[bool, ...], seed: int = 0) -> tuple[Any, list[np.ndarray]]:
+    """A problem of drives over 200 m whose motion varies along the road, and the positions of each drive."""
     rng = np.random.default_rng(seed)
     positions = [np.arange(0.0, 200.0, v / 100.0) for v in SPEEDS[: len(active)]]
     motion = [(1.0 + np.sin(x / 9.0)) * rng.standard_normal(x.size) for x in positions]
@@ -41,21 +41,21 @@ def bench(active: tuple[bool, ...], seed: int = 0) -> tuple[Any, list[np.ndarray
         drives=list(range(len(active))),
         segments=[slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)],
     )
-    problem = SimpleNamespace(
-        measured=measured,
+    data = SimpleNamespace(
         parts=[SimpleNamespace(position=x) for x in positions],
         drive_of=list(range(len(active))),
         rows=[np.arange(x.size) for x in positions],
+        active=active,
     )
-    return SimpleNamespace(active=active, problem=problem), positions
+    return SimpleNamespace(measured=measured, data=data, channels=(CHANNEL,)), positions
 
 
 def rest(
     seen: Any, positions: list[np.ndarray], wrong: list[tuple[float, float] | None], seed: int = 1
 ) -> RemainingResidual:
-    """A fifth of the motion everywhere, and on the ``wrong`` stretch of a drive two or three times all of that."""
+    """A residual of a fifth of the motion, and two or three times that on the ``wrong`` section of a drive."""
     rng = np.random.default_rng(seed)
-    left = 0.2 * seen.problem.measured.values[:, 0]
+    left = 0.2 * seen.measured.values[:, 0]
     more = []
     for x, where in zip(positions, wrong, strict=True):
         own = np.zeros(x.size) if where is None else 1.0 * ((x > where[0]) & (x < where[1]))
@@ -66,46 +66,46 @@ def rest(
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_share_of_the_motion_is_spread_out(seed: int) -> None:
-    seen, positions = bench((True, True), seed)
+def test_model_discrepancy_is_spread_over_the_road(seed: int) -> None:
+    seen, positions = problem((True, True), seed)
     found = concentrated_section(seen, rest(seen, positions, [None, None], seed), NOISE)
     assert found is not None and found.beyond < 0.1 and no_concentration(found) > 0.99
 
 
 @pytest.mark.parametrize(("start", "end"), [(0.0, 20.0), (61.0, 97.0), (170.0, 199.0)])
-def test_what_every_pass_leaves_on_one_stretch_lies_there(start: float, end: float) -> None:
-    seen, positions = bench((True, True))
+def test_a_residual_of_every_pass_on_one_section_is_found_there(start: float, end: float) -> None:
+    seen, positions = problem((True, True))
     found = concentrated_section(seen, rest(seen, positions, [(start, end)] * 2), NOISE)
     assert found is not None and no_concentration(found) < 0.05
     assert start - 4.0 <= found.start < found.end <= end + 4.0
     assert found.end - found.start > 0.7 * (end - start) and found.share > 0.5
 
 
-def test_what_one_pass_leaves_is_no_road() -> None:
-    seen, positions = bench((True, True))
+def test_a_residual_of_one_pass_is_no_local_road_error() -> None:
+    seen, positions = problem((True, True))
     found = concentrated_section(seen, rest(seen, positions, [(60.0, 90.0), None]), NOISE)
     assert found is not None and no_concentration(found) > 0.9
     elsewhere = concentrated_section(seen, rest(seen, positions, [(20.0, 50.0), (140.0, 170.0)]), NOISE)
     assert elsewhere is not None and no_concentration(elsewhere) > 0.9
 
 
-def test_what_was_there_before_is_none_of_the_gap() -> None:
-    seen, positions = bench((True, True, False))
+def test_a_residual_of_the_reference_is_none_of_the_gap() -> None:
+    seen, positions = problem((True, True, False))
     before = concentrated_section(seen, rest(seen, positions, [(60.0, 90.0)] * 3), NOISE)
     assert before is not None and no_concentration(before) > 0.9
     now = concentrated_section(seen, rest(seen, positions, [(60.0, 90.0), (60.0, 90.0), None]), NOISE)
     assert now is not None and no_concentration(now) < 0.05
 
 
-def test_a_rest_within_the_noise_and_a_bench_without_the_vertical_say_nothing() -> None:
-    seen, positions = bench((True, True))
+def test_a_residual_within_the_noise_and_drives_without_vertical_acceleration_have_no_section() -> None:
+    seen, positions = problem((True, True))
     quiet = RemainingResidual(*(np.full((sum(x.size for x in positions), 1), 0.01),) * 2)
     assert no_concentration(concentrated_section(seen, quiet, NOISE)) == pytest.approx(1.0)
-    seen.problem.measured.channels = ("yaw_rate",)
+    seen.measured.channels = ("yaw_rate",)
     assert concentrated_section(seen, quiet, NOISE) is None and no_concentration(None) == 1.0
 
 
-def test_a_road_is_as_surveyed_where_no_error_of_its_file_takes_much() -> None:
+def test_a_road_file_has_no_error_where_none_explains_much() -> None:
     assert no_road_error([]) == pytest.approx(1.0)
     assert no_road_error([RoadErrorMatch("road_scale", {}, 0.1)]) > 0.99
     assert no_road_error([RoadErrorMatch("road_scale", {}, 0.25)]) == pytest.approx(0.5)
@@ -116,7 +116,7 @@ def test_a_road_is_as_surveyed_where_no_error_of_its_file_takes_much() -> None:
 
 
 @pytest.mark.long
-def test_a_road_file_that_is_wrong_on_one_stretch_is_unknown_and_said_to_be_so(
+def test_a_road_file_that_is_wrong_on_one_section_is_unknown_with_its_place(
     make: Any, tmp_path: Path
 ) -> None:
     right, bags, _ = make()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of a diagnosis: the answer first, plain words, the rest folded away."""
+"""The page of a diagnosis: the answer first, in words, the rest folded away."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from suspension_twin.diagnosis.request import DiagnosisResult, DriveView
-from suspension_twin.report.car import from_above
+from suspension_twin.report import plots
 from suspension_twin.report.diagnosis import diagnosis_page
 from suspension_twin.vehicle.twin import RoadFile, load_twin
 
@@ -26,10 +26,9 @@ def cause(effect: str, probability: float, parameters: dict[str, float], **more:
         "gap_after": 0.1,
         "shrink": 0.75,
         "shrink_interval": [0.7, 0.8],
+        "channel": "vertical_acceleration",
         "shrink_beyond_recalibration": 0.6,
-        "shrink_beyond_reference": None,
         "indistinguishable_from": [],
-        "gates": {"material": 1.0, "adequate": 0.9, "plausible": 0.4},
         "judged": True,
         "log_evidence": 12.0,
         **more,
@@ -48,6 +47,9 @@ def document(verdict: str = "effect", **changes: Any) -> dict[str, Any]:
     channels = {"vertical_acceleration": 0.4, "roll_rate": 0.02}
     return {
         "verdict": verdict,
+        "probability": {"no_gap": 0.04, "unknown": 0.01}.get(verdict, 0.93),
+        "gap_after": 0.3,
+        "candidates": [],
         "gap": {
             "rms": 0.4,
             "mse": 0.16,
@@ -88,14 +90,13 @@ def document(verdict: str = "effect", **changes: Any) -> dict[str, Any]:
     }
 
 
-def drive(name: str = "fast", channel: str = "") -> DriveView:
+def drive(name: str = "fast", channel: str = "vertical_acceleration") -> DriveView:
     t = START + np.arange(0.0, 10.0, 0.01)
     road = np.linspace(5.0, 60.0, t.size)
     measured = np.sin(9.0 * (t - START)) * np.exp(-(((t - START - 4.0) / 2.0) ** 2))
     compared = np.ones(t.size, dtype=bool)
-    return DriveView(
-        name, t, road, 100.0, measured, 0.6 * measured, 0.8 * measured, 0.95 * measured, compared, channel
-    )
+    simulated = {"before": 0.6 * measured, "after": 0.95 * measured}
+    return DriveView(name, channel, 100.0, t, road, measured, simulated, compared)
 
 
 def result(
@@ -128,7 +129,7 @@ def test_the_answer_stands_first_in_words_of_a_mechanic(repository):
     assert {"Every cause that was tried", "Where, in figures", "Method"} <= set(folded)
 
 
-def test_what_shows_has_names_units_and_times_from_the_start(repository):
+def test_visible_text_has_names_units_and_times_from_the_start(repository):
     text = visible(diagnosis_page(result(repository, document())).render())
     assert "wheel front left" in text and "corner 0" not in text
     assert "3 s after the start of fast" in text and "17000000" not in text
@@ -142,7 +143,7 @@ def test_five_causes_show_and_the_rest_is_folded(repository):
     text = visible(html)
     assert "The road is 10 % higher" in text  # the fifth
     assert "turned against" not in text
-    assert "sensor tilt (cannot be judged)" in html
+    assert "Sensor tilted (cannot be judged)" in html and 'title="sensor tilt"' in html
     assert "Something that is not in the library 1 %" in text
 
 
@@ -161,39 +162,36 @@ def test_the_channel_that_closes_is_named(repository):
 def test_every_verdict_has_a_page_without_stutter(repository, verdict):
     d = document(verdict)
     if verdict != "no_gap":
-        d["signature"] = {"channel": "roll_rate", "low_hz": 6.0, "high_hz": 8.0, "peak_hz": 7.0}
+        band = {"low_hz": 6.0, "high_hz": 8.0, "peak_hz": 7.0}
+        d["signature"] = {"channel": "roll_rate", **band, "resembles": []}
     html = diagnosis_page(result(repository, d)).render()
     assert not re.search(r"(no gap|unknown|partly): \1", html, re.IGNORECASE)
-    assert ("What remains unexplained looks like this" in html) == (verdict != "no_gap")
+    assert ("The unexplained gap" in html) == (verdict != "no_gap")
     assert "twin recalibrated" in html
 
 
-def test_a_document_of_the_next_form_and_one_with_little_in_it(repository):
-    """Keys that are yet to come are used, and none but those of the contract is needed."""
-    d = document(candidates=["corner_damper", "no_gap"], before_and_after=["road_scale"], probability=0.97)
+def test_candidates_and_errors_that_are_not_new_are_remarks(repository):
+    d = document(candidates=["corner_damper", "no_gap"], before_and_after=True, probability=0.97)
     text = visible(diagnosis_page(result(repository, d)).render())
     assert "Extremely likely (97 %)" in text
     assert "the truth is among: one odd damper, nothing is wrong" in text
-    assert "before and after alike" in text
-    for each in d["causes"]:
-        for key in (
-            "gates",
-            "judged",
-            "shrink_beyond_recalibration",
-            "shrink_beyond_reference",
-            "log_evidence",
-        ):
-            del each[key]
-    d["where"] = {key: [] for key in d["where"]}
-    del d["cannot_be_judged"], d["warnings"]
-    bare = diagnosis_page(result(repository, d, ())).render()
-    assert "spread evenly" in visible(bare)
-    assert "material" not in bare
+    assert "Not new: before and after alike." in text
+
+
+def test_a_gap_without_a_place_is_spread_evenly(repository):
+    d = document(where={key: [] for key in document()["where"]}, cannot_be_judged=[])
+    text = visible(diagnosis_page(result(repository, d, ())).render())
+    assert "spread evenly" in text and "Cannot be judged" not in text
+
+
+def test_effects_that_cannot_be_judged_are_listed_once(repository):
+    text = visible(diagnosis_page(result(repository, document())).render())
+    assert text.count("Cannot be judged, as these drives do not excite them: sensor tilted.") == 1
 
 
 def test_the_car_from_above_names_every_wheel_and_rings_the_faulty_one():
     wheels = np.array([[2.7, 0.8], [2.7, -0.8], [0.0, 0.8], [0.0, -0.8]])
-    axes = from_above(wheels, {"front_left": 0.5}, marked=["rear_right"], sensor=(1.0, 0.2)).axes[0]
+    axes = plots.car_from_above(wheels, {"front_left": 0.5}, marked=["rear_right"], sensor=(1.0, 0.2)).axes[0]
     texts = [t.get_text() for t in axes.texts]
     assert {"front left\n50 %", "front right", "rear left", "rear right", "sensor"} <= set(texts)
     rings = [line for line in axes.lines if line.get_marker() == "o"]

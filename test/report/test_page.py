@@ -101,7 +101,7 @@ def test_text_is_escaped_and_marked_up():
     assert "<code>code</code>" in html
     assert "<li><strong>b</strong></li>" in html
     assert "x &gt; y" in html
-    assert 'title="on the &quot;bound&quot;"' in html
+    assert 'title="on the &#34;bound&#34;"' in html
     assert '<td class="n mark bad"' in html
     assert "<p>raw</p>" in html
 

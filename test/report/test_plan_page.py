@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of a plan: what shows from which size, and what looks alike."""
+"""The page of a plan: smallest sizes that show, and pairs that look alike."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from suspension_twin.diagnosis.plan import Pair, Plan, Shown
+from suspension_twin.diagnosis.plan import Detectability, Pair, Plan
 from suspension_twin.report.plan import plan_page, size_text
 
-DAMPER = Shown("corner_damper", "corner 0", "change", "", 0.12, 0.4, 1.2, 0.1, 3.0, "roll_rate")
-CLOCK = Shown("time_offset", "", "offset", "s", 0.008, 0.05, 0.15, 0.0, 5.0, "vertical_acceleration")
-CUTOFF = Shown("sensor_bandwidth", "", "cutoff", "Hz", 35.0, 15.0, 3.75, 0.0, 6.0, "vertical_acceleration")
-HIDDEN = replace(DAMPER, effect="bump_stop", place="", parameter="stiffness", unit="N/m", size=None)
+DAMPER = Detectability("corner_damper", "corner 0", "change", 0.12, 0.4, 1.2, 3.0, "roll_rate")
+CLOCK = Detectability("time_offset", "", "offset", 0.008, 0.05, 0.15, 5.0, "vertical_acceleration")
+CUTOFF = Detectability("sensor_bandwidth", "", "cutoff", 35.0, 15.0, 3.75, 6.0, "vertical_acceleration")
+HIDDEN = replace(DAMPER, effect="bump_stop", place="", parameter="stiffness", size=None)
 
 
 def found(mondeo, pairs):
@@ -25,7 +25,7 @@ def found(mondeo, pairs):
     )
 
 
-def test_it_says_what_shows_and_what_never_does(mondeo):
+def test_it_lists_the_effects_that_show_and_those_that_never_do(mondeo):
     html = plan_page(found(mondeo, ())).render()
     assert "3 of 4 faults would show" in html
     assert "Not at any plausible size: bump stop." in html

@@ -177,8 +177,10 @@ def test_springs_from_standstill_meet_where_the_car_stands(vehicle):
         update={"spring": vehicle.front.spring.model_copy(update={"force": (900.0, 6000.0)})}
     )
     other = vehicle.model_copy(update={"front": axle})
-    told = AxleEvidence(compression=(-0.03, 0.02))
-    fig = characteristics({"before": vehicle, "simulated": other}, evidence={"front": told}, from_rest=True)
+    evidence = AxleEvidence(compression=(-0.03, 0.02))
+    fig = characteristics(
+        {"before": vehicle, "simulated": other}, evidence={"front": evidence}, from_rest=True
+    )
     load = (1725.0 * 1.5 / 2.85 / 2 - 40.0) * 9.80665 / 1e3
     for role in ("before", "simulated"):
         x, y = lines(fig.axes[0], role)[0].get_xydata().T
@@ -187,13 +189,13 @@ def test_springs_from_standstill_meet_where_the_car_stands(vehicle):
 
 
 def test_characteristics_draw_rebound_downwards_and_mark_what_was_not_excited(vehicle):
-    told = AxleEvidence(
+    evidence = AxleEvidence(
         spring=Band(np.array([0.1, 0.2]), np.array([2000.0, 4000.0]), np.array([2600.0, 5000.0])),
         compression=(0.12, 0.2),
         velocity=(-0.3, 0.3),
         unexcited=[("pull", 0.1)],
     )
-    fig = characteristics({"simulated": vehicle, "truth": vehicle}, evidence={"front": told})
+    fig = characteristics({"simulated": vehicle, "truth": vehicle}, evidence={"front": evidence})
     spring, _, damper, _ = fig.axes
     assert spring.get_xlim()[1] == pytest.approx(1.15 * 0.2)
     drawn = [line.get_xydata() for line in lines(damper, "simulated")]

@@ -337,7 +337,7 @@ def _health(quantity: str, estimate: tuple[float, float, float], unit: str, iden
 
 
 def _diagnosed(task: Task, inputs: _Inputs) -> Record:
-    from suspension_twin.diagnosis.output import write
+    from suspension_twin.diagnosis.answer import write
     from suspension_twin.diagnosis.request import DiagnosisRequest
     from suspension_twin.diagnosis.run import diagnose
 
@@ -349,7 +349,7 @@ def _diagnosed(task: Task, inputs: _Inputs) -> Record:
         write(replace(result, twin=inputs.named_road(result.twin)), out)
     document = result.document
     fits = [
-        (d.position, d.measured - d.before, d.compared, d.rate)
+        (d.position, d.measured - d.simulated["before"], d.compared, d.rate)
         for d in result.drives
         if d.channel in ("", "vertical_acceleration")
     ]
