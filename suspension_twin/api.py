@@ -26,8 +26,7 @@ if TYPE_CHECKING:
     from suspension_twin.calibration.request import CalibrationResult
     from suspension_twin.calibration.request import Progress as CalibrationProgress
     from suspension_twin.diagnosis.decision import Costs
-    from suspension_twin.diagnosis.request import DiagnosisResult
-    from suspension_twin.diagnosis.request import Progress as DiagnosisProgress
+    from suspension_twin.diagnosis.request import DiagnosisProgress, DiagnosisResult
     from suspension_twin.drive.read import Topics
     from suspension_twin.inference.gap import Comparison
     from suspension_twin.road import Outside, Road
@@ -295,7 +294,7 @@ def diagnose(
     costs : Costs, optional
         Costs of wrong and missing answers.
     on_progress : callable, optional
-        Called with a :class:`~suspension_twin.diagnosis.request.Progress`.
+        Called with a :class:`~suspension_twin.diagnosis.request.DiagnosisProgress`.
 
     Returns
     -------

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
-from suspension_twin.calibration.recorder import Outcome
+from suspension_twin.calibration.recorder import SearchOutcome
 from suspension_twin.calibration.request import DriveFit
 from suspension_twin.calibration.searches import costs_of
 from suspension_twin.calibration.setup import Setup, problem_of
@@ -26,7 +26,7 @@ from suspension_twin.vehicle.twin import Twin
 __all__ = ["drive_fits", "paper_distance"]
 
 
-def drive_fits(setup: Setup, outcome: Outcome, after: Twin, values: Floats) -> tuple[DriveFit, ...]:
+def drive_fits(setup: Setup, outcome: SearchOutcome, after: Twin, values: Floats) -> tuple[DriveFit, ...]:
     """Compare every drive of a calibration with the twin as it was and as it is ``after``."""
     found = []
     data = setup.problem.data
@@ -98,7 +98,7 @@ def paper_distance(setup: Setup, twin: Twin) -> float:
     return float(costs_of(problem, objective, nothing, np.zeros(problem.q), synchronise=True)[0])
 
 
-def _corrected(outcome: Outcome, number: int, values: Floats) -> tuple[float, float]:
+def _corrected(outcome: SearchOutcome, number: int, values: Floats) -> tuple[float, float]:
     """Residual rms of one drive's vertical acceleration with the nuisances corrected, and the correlation."""
     problem, data = outcome.problem, outcome.problem.data
     if number not in data.drive_of:  # it validates

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a parameter is called for people, and its unit."""
+"""Names of parameters for people, and their units."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.checks import check_agreement
 from suspension_twin.calibration.drivefit import drive_fits, paper_distance
-from suspension_twin.calibration.recorder import Outcome, Recorder
+from suspension_twin.calibration.recorder import Recorder, SearchOutcome
 from suspension_twin.calibration.request import (
     CalibrationRequest,
     CalibrationResult,
@@ -59,7 +59,7 @@ def unfinished(request: CalibrationRequest, twin: Twin, seconds: float) -> Calib
     )
 
 
-def conclude(recorder: Recorder, outcome: Outcome, start: float, began: float) -> CalibrationResult:
+def conclude(recorder: Recorder, outcome: SearchOutcome, start: float, began: float) -> CalibrationResult:
     """The result with its uncertainty and its drives; a stopped calibration goes without both.
 
     ``start`` is the cost that the twin began with, ``began`` the monotonic clock then.
@@ -112,7 +112,7 @@ def conclude(recorder: Recorder, outcome: Outcome, start: float, began: float) -
     )
 
 
-def _settled(outcome: Outcome, objective: Objective, found: Uncertainty) -> Outcome:
+def _settled(outcome: SearchOutcome, objective: Objective, found: Uncertainty) -> SearchOutcome:
     """The outcome at the coordinates that the uncertainty was taken around, if those are its search's."""
     if outcome.x is None or (outcome.likelihood is None and np.array_equal(outcome.x, found.x)):
         return outcome
@@ -181,7 +181,7 @@ def _estimates(setup: Setup, values: Floats, found: Uncertainty | None) -> tuple
     )
 
 
-def _nuisances(outcome: Outcome, found: Uncertainty | None) -> tuple[NuisanceEstimate, ...]:
+def _nuisances(outcome: SearchOutcome, found: Uncertainty | None) -> tuple[NuisanceEstimate, ...]:
     nuisances = outcome.problem.nuisances
     sigma = found.posterior.sigma if found else np.full(len(nuisances), float("nan"))
     return tuple(

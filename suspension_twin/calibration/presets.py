@@ -150,6 +150,7 @@ def build_space(
     twin: Twin,
     preset: Preset,
     free: Sequence[str] = (),
+    *,
     also: Sequence[str] = (),
     freeze: Sequence[str] = (),
     bounds: Mapping[str, tuple[float, float]] | None = None,
@@ -178,8 +179,8 @@ def build_space(
 
 
 def _usual(twin: Twin, preset: Preset) -> list[str]:
-    """What is searched where nobody says: what the preset names of this vehicle; its characteristics; or what one
-    specimen differs by from the next."""
+    """Keys that are searched by default: those that the preset names for this vehicle; its characteristics; or those in
+    which specimens differ."""
     there = layout(twin).names
     named = [key for key in preset.keys if key in there]
     curves = curve_keys(twin)

@@ -19,13 +19,13 @@ from suspension_twin.inference.noise import Whitener
 from suspension_twin.inference.observation import content_digest
 from suspension_twin.inference.problem import Interrupted, Problem
 
-__all__ = ["Outcome", "Recorder", "fingerprint"]
+__all__ = ["Recorder", "SearchOutcome", "fingerprint"]
 
 _SAVE_EVERY = 5  # generations
 
 
 @dataclass
-class Outcome:
+class SearchOutcome:
     """Where a search ended: the ``values`` (d,), the nuisances (q,) with the share of them that is
     ``placed`` (simulated, not interpolated), and for least squares the solver's coordinates ``x`` and the
     weight that the prior had beside the objective (0: the search knew no prior)."""

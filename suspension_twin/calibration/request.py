@@ -38,7 +38,7 @@ STATUSES = ("identified", "extrapolated", "kept", "not identified", "on bound")
 
 @dataclass(frozen=True)
 class CalibrationRequest:
-    """What to calibrate, on what, and how. Only ``twin`` and ``bags`` are needed.
+    """Twin, drives and settings of a calibration. Only ``twin`` and ``bags`` are needed.
 
     Parameters
     ----------

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from suspension_twin.calibration.outcome import conclude, unfinished
-from suspension_twin.calibration.recorder import Outcome, Recorder, fingerprint
+from suspension_twin.calibration.recorder import Recorder, SearchOutcome, fingerprint
 from suspension_twin.calibration.request import CalibrationRequest, CalibrationResult, Progress
 from suspension_twin.calibration.searches import costs_of, run_evolution, run_genetic
 from suspension_twin.calibration.setup import Setup, set_up
@@ -113,7 +113,7 @@ def solve(
     return conclude(recorder, outcome, start, began)
 
 
-def _search(recorder: Recorder) -> Outcome:
+def _search(recorder: Recorder) -> SearchOutcome:
     if recorder.setup.preset.search == "genetic":
         return run_genetic(recorder)
     if not recorder.setup.objective.is_least_squares:

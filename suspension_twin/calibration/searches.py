@@ -12,7 +12,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.calibration.evolution import CmaSearch
 from suspension_twin.calibration.genetic import GeneticSearch
 from suspension_twin.calibration.pattern import PatternSearch
-from suspension_twin.calibration.recorder import Outcome, Recorder
+from suspension_twin.calibration.recorder import Recorder, SearchOutcome
 from suspension_twin.inference.objectives import Objective
 from suspension_twin.inference.problem import Interrupted, Problem
 
@@ -90,7 +90,7 @@ def _advance(
     return True
 
 
-def run_genetic(recorder: Recorder) -> Outcome:
+def run_genetic(recorder: Recorder) -> SearchOutcome:
     """GA, then pattern search, both in unit coordinates."""
     setup = recorder.setup
     problem, preset = setup.problem, setup.preset
@@ -116,7 +116,7 @@ def run_genetic(recorder: Recorder) -> Outcome:
     return _outcome(recorder, space.from_unit(best[0]), best[1], done)
 
 
-def run_evolution(recorder: Recorder) -> Outcome:
+def run_evolution(recorder: Recorder) -> SearchOutcome:
     """CMA-ES in slope coordinates for objectives that are no sum of squares."""
     problem = recorder.setup.problem
     space, quiet = problem.space, np.zeros(len(problem.nuisances))
@@ -132,7 +132,7 @@ def run_evolution(recorder: Recorder) -> Outcome:
     return _outcome(recorder, space.from_slopes(x), cost, done)
 
 
-def _outcome(recorder: Recorder, values: Floats, cost: float, done: bool) -> Outcome:
+def _outcome(recorder: Recorder, values: Floats, cost: float, done: bool) -> SearchOutcome:
     """The outcome at ``values``, with the clock offsets that align them in time."""
     problem = recorder.setup.problem
     nuisance = np.zeros(len(problem.nuisances))
@@ -142,4 +142,4 @@ def _outcome(recorder: Recorder, values: Floats, cost: float, done: bool) -> Out
             nuisance = synchronised(problem, recorder.setup.objective, signals, nuisance[:, None])[:, 0]
         except Interrupted:
             done = False
-    return Outcome(values, nuisance, cost, problem, np.zeros(nuisance.size), stopped=not done)
+    return SearchOutcome(values, nuisance, cost, problem, np.zeros(nuisance.size), stopped=not done)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a calibration finds of the sensor, and which of it goes into the twin file.
+"""Errors of the sensor that a calibration finds, and which of them go into the twin file.
 
 The sensor's latency and the roll and pitch of its mounting are properties of the set-up: they hold on the next drive
 too. A map's offset and the biases of one drive do not, and stay nuisance parameters.
@@ -27,7 +27,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from suspension_twin.arrays import Floats
-from suspension_twin.calibration.recorder import Outcome
+from suspension_twin.calibration.recorder import SearchOutcome
 from suspension_twin.calibration.request import SensorEstimate
 from suspension_twin.calibration.setup import Setup, problem_of
 from suspension_twin.calibration.uncertainty import HALF_WIDTH, Uncertainty
@@ -58,7 +58,7 @@ _CONTRADICTION = float(chdtrc(1, _GATE**2))
 
 
 def sensor_estimates(
-    setup: Setup, outcome: Outcome, uncertainty: Uncertainty, keep: bool = False
+    setup: Setup, outcome: SearchOutcome, uncertainty: Uncertainty, keep: bool = False
 ) -> tuple[SensorEstimate, ...]:
     """Latency of the sensor in s and roll and pitch of its mounting in rad, with their intervals; ``keep`` writes
     none of them."""
@@ -76,7 +76,7 @@ def sensor_estimates(
             _common_clock(setup, outcome.nuisance, v, clocks) for v in (given, marginal)
         )
         keeps = keep or not _closes(setup, outcome, clocks, offset)
-        found.append(_estimate("imu.latency", "s", start, start - offset, s, sigma, keeps, p))
+        found.append(_estimate("imu.latency", "s", start, start - offset, s, sigma, keep=keeps, p=p))
     level = _by_gravity(setup, outcome) if "tilt_roll" in names else {}
     for axis in ("roll", "pitch"):
         if f"tilt_{axis}" not in names:
@@ -87,7 +87,7 @@ def sensor_estimates(
         others = [level[axis]] if axis in level else []
         (_, s, _), (value, sigma, p) = (common_offset(*_stacked([witness, *others])) for witness in witnesses)
         trusted = not p < _CONTRADICTION
-        found.append(_estimate(f"mount.{axis}", "rad", 0.0, value, s, sigma, keep or not trusted, p))
+        found.append(_estimate(f"mount.{axis}", "rad", 0.0, value, s, sigma, keep=keep or not trusted, p=p))
     return tuple(found)
 
 
@@ -97,7 +97,7 @@ def _stacked(witnesses: list[tuple[float, float]]) -> tuple[Floats, Floats]:
     return values, np.diag(variances)
 
 
-def _closes(setup: Setup, outcome: Outcome, clocks: list[int], offset: float) -> bool:
+def _closes(setup: Setup, outcome: SearchOutcome, clocks: list[int], offset: float) -> bool:
     """Whether a common clock offset brings the calibrated twin nearer to its own drives, without the map offset that
     was fitted beside it: a twin file has none."""
     problem = outcome.problem
@@ -108,7 +108,7 @@ def _closes(setup: Setup, outcome: Outcome, clocks: list[int], offset: float) ->
     return bool(with_it < without)
 
 
-def _by_gravity(setup: Setup, outcome: Outcome) -> dict[str, tuple[float, float]]:
+def _by_gravity(setup: Setup, outcome: SearchOutcome) -> dict[str, tuple[float, float]]:
     """Roll and pitch in rad by which the sensor is turned against the twin file, by gravity alone, and their variances;
     empty where a phone has taken gravity off itself, which leaves no trace of how it is turned.
 
@@ -167,6 +167,7 @@ def _estimate(
     value: float,
     given: float,
     sigma: float,
+    *,
     keep: bool,
     p: float = float("nan"),
 ) -> SensorEstimate:

@@ -91,7 +91,7 @@ def set_up(
     nuisances = [k for k in request.freeze if k.startswith("nuisances.")]
     priors = NuisancePriors().without(nuisances)
     frozen = [k for k in request.freeze if k not in nuisances]
-    space = build_space(twin, preset, request.free, request.also, frozen, bounds)
+    space = build_space(twin, preset, request.free, also=request.also, freeze=frozen, bounds=bounds)
     if model_of(twin).recordings != "drive":
         return _of_runs(request, original, twin, space, should_stop)
     road = road_of(twin)

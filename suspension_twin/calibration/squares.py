@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.calibration.recorder import Outcome, Recorder
+from suspension_twin.calibration.recorder import Recorder, SearchOutcome
 from suspension_twin.calibration.searches import costs_of
 from suspension_twin.calibration.setup import Setup
 from suspension_twin.inference.checkpoint import State
@@ -86,7 +86,7 @@ def moved(problem: Problem, nuisance: Floats) -> Problem:
     return replace(problem, likelihood=replace(problem.likelihood, data=replace(data, parts=tuple(parts))))
 
 
-def run_squares(recorder: Recorder) -> Outcome:
+def run_squares(recorder: Recorder) -> SearchOutcome:
     """Levenberg-Marquardt on the objective, then, unless one was asked for by name, on the likelihood.
 
     The likelihood is efficient where the residual is noise. A larger residual is model discrepancy, which
@@ -108,7 +108,7 @@ def run_squares(recorder: Recorder) -> Outcome:
     values = fit.base.space.from_slopes(fit.x[: fit.d])
     nuisance = fit.x[fit.d :] + fit.placed
     weight = 1.0 if fit.balanced else _FAINT
-    return Outcome(
+    return SearchOutcome(
         values, nuisance, fit.cost, fit.problem, fit.placed, fit.x, fit.likelihood, weight, stopped=stopped
     )
 

@@ -25,7 +25,7 @@ from scipy.special import chdtri, ndtri
 
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.presets import PRESETS, build_space
-from suspension_twin.calibration.recorder import Outcome
+from suspension_twin.calibration.recorder import SearchOutcome
 from suspension_twin.calibration.request import CurveEstimate
 from suspension_twin.calibration.setup import Setup
 from suspension_twin.calibration.squares import in_floors
@@ -68,7 +68,7 @@ class Uncertainty:
     absorbed: Floats
 
 
-def assess(setup: Setup, outcome: Outcome, seed: int) -> Uncertainty:
+def assess(setup: Setup, outcome: SearchOutcome, seed: int) -> Uncertainty:
     """The uncertainty around the result of a search, in a space with wide bounds.
 
     Where the residual is noise, by the likelihood fitted from the result on. Where it is larger (or the
@@ -88,7 +88,9 @@ def assess(setup: Setup, outcome: Outcome, seed: int) -> Uncertainty:
     status = np.where(_identified(found.covariance, precision)[:d], "identified", "not identified")
     absorbed = np.full(d, np.nan)
     if outcome.prior_weight > 0:
-        status, absorbed, held = _settle(problem, outcome, weighing, x, found.covariance, precision, status)
+        status, absorbed, held = _settle(
+            problem, outcome, weighing, x=x, covariance=found.covariance, precision=precision, status=status
+        )
         if held is not x:
             x = held
             found = posterior(
@@ -103,7 +105,7 @@ def assess(setup: Setup, outcome: Outcome, seed: int) -> Uncertainty:
 
 
 def _best_fit(
-    setup: Setup, problem: Problem, outcome: Outcome, precision: Floats
+    setup: Setup, problem: Problem, outcome: SearchOutcome, precision: Floats
 ) -> tuple[Floats, Whitener | ScaledObjective, Floats | None]:
     """Coordinates (d + q,) of the fit that the posterior is taken around, what weighs its residuals, and the
     standard deviation (d + q,) that model discrepancy adds, or None where the residual is noise."""
@@ -132,8 +134,9 @@ def _identified(covariance: Floats, precision: Floats) -> NDArray[np.bool_]:
 
 def _settle(
     problem: Problem,
-    outcome: Outcome,
+    outcome: SearchOutcome,
     weighing: Noise,
+    *,
     x: Floats,
     covariance: Floats,
     precision: Floats,
@@ -185,7 +188,7 @@ def _compared(problem: Problem, x: Floats) -> Floats:
     return problem.compared(x[:, None])[:, :, 0]
 
 
-def _widened(setup: Setup, outcome: Outcome) -> Problem:
+def _widened(setup: Setup, outcome: SearchOutcome) -> Problem:
     """The problem in a space with wide bounds, so that an interval may reach beyond those of the search."""
     problem = outcome.problem
     space = build_space(setup.twin, PRESETS["fast"], setup.space.keys, known=setup.space.parameters)

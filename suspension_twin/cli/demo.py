@@ -72,17 +72,17 @@ class _Steps:
         self._running.close()
 
     def begin(self, text: str) -> None:
-        """See suspension_twin.demo.steps.Progress."""
+        """See suspension_twin.demo.steps.DemoProgress."""
         self._text = text
         self._line = self._running.enter_context(ProgressLine())
         self._line.show(text)
 
     def share(self, done: float, note: str = "") -> None:
-        """See suspension_twin.demo.steps.Progress."""
+        """See suspension_twin.demo.steps.DemoProgress."""
         self._line.show(note or self._text, done)
 
     def end(self, text: str) -> None:
-        """See suspension_twin.demo.steps.Progress."""
+        """See suspension_twin.demo.steps.DemoProgress."""
         self._running.close()
         outcome = (f"  {printable(text)}", "dim") if text else ""
         self._console.print(Text.assemble(("✓", "green"), f" {printable(self._text)}", outcome))

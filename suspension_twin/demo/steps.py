@@ -30,9 +30,9 @@ __all__ = [
     "LEARNT",
     "UNSEEN",
     "BundledDrive",
+    "DemoProgress",
     "DemoResult",
     "Outcome",
-    "Progress",
     "run_demo",
     "written_files",
 ]
@@ -45,7 +45,7 @@ _SETTLE = 1.0
 _MOVING = 0.5  # m/s
 
 
-class Progress(Protocol):
+class DemoProgress(Protocol):
     """Receiver of the progress of a demo."""
 
     def begin(self, text: str) -> None:
@@ -102,7 +102,7 @@ class DemoResult:
     seconds: float
 
 
-def run_demo(bags: Path, out: Path, progress: Progress, *, seed: int = 0) -> DemoResult:
+def run_demo(bags: Path, out: Path, progress: DemoProgress, *, seed: int = 0) -> DemoResult:
     """Replay, calibrate and validate; twin files and roads are left in ``out``.
 
     ``bags`` is the folder of the bundled drives. Raises WorkError where ``out`` cannot be written.
@@ -151,7 +151,7 @@ def _bundled(bag: Path, twin: Twin) -> BundledDrive:
 
 
 def _reporting(
-    progress: Progress, history: list[CalibrationProgress]
+    progress: DemoProgress, history: list[CalibrationProgress]
 ) -> Callable[[CalibrationProgress], None]:
     """A callback of a calibration, which reports the progress and keeps it in ``history``."""
     began = time.monotonic()
@@ -167,7 +167,7 @@ def _reporting(
 
 
 @contextmanager
-def _step(progress: Progress, text: str) -> Iterator[list[str]]:
+def _step(progress: DemoProgress, text: str) -> Iterator[list[str]]:
     results: list[str] = []
     progress.begin(text)
     yield results

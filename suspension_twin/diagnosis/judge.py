@@ -14,7 +14,7 @@ from suspension_twin.diagnosis.coarse_search import NO_MATCH
 from suspension_twin.diagnosis.excerpt import excerpt_of
 from suspension_twin.diagnosis.library import decoys, library
 from suspension_twin.diagnosis.preexisting import beyond_preexisting
-from suspension_twin.diagnosis.request import DiagnosisRequest, Progress
+from suspension_twin.diagnosis.request import DiagnosisProgress, DiagnosisRequest
 from suspension_twin.diagnosis.search import (
     LEAST_POWER,
     Search,
@@ -135,7 +135,7 @@ def judge(
     problem: Problem,
     fits: tuple[LinearisedFit, LinearisedFit],
     rounds: Rounds,
-    report: Callable[[Progress], None],
+    report: Callable[[DiagnosisProgress], None],
 ) -> Judged:
     """Fit every effect of the library, and sets of effects where one leaves more than expected.
 
@@ -158,7 +158,7 @@ def judge(
         anchor,
         {**effects, **beside},
         search,
-        lambda done, note: report(Progress("effects", 0.15 + 0.55 * done, note)),
+        lambda done, note: report(DiagnosisProgress("effects", 0.15 + 0.55 * done, note)),
     )
     own = evidence(problem, base, blocks)
     remaining = side_by_side(
@@ -203,7 +203,7 @@ def _since(
     found: Sequence[Single],
     temper: float,
     search: Search,
-    report: Callable[[Progress], None],
+    report: Callable[[DiagnosisProgress], None],
 ) -> tuple[Evidence | None, dict[int, Evidence]]:
     """Evidence of the baseline with pre-existing effects and of the finalists beyond them."""
     asked = {i: s.fit for i, s in enumerate(found) if s.finalist}
@@ -216,7 +216,7 @@ def _since(
         temper,
         search,
         on_progress=lambda done, i: report(
-            Progress("effects", 0.72, f"{found[i].effect}, since".replace("_", " "))
+            DiagnosisProgress("effects", 0.72, f"{found[i].effect}, since".replace("_", " "))
         ),
     )
     return (None, {}) if beyond is None else beyond
@@ -234,7 +234,7 @@ def candidate(judged: Judged, found: Evidence) -> Candidate:
 
 
 def _grown(
-    request: DiagnosisRequest, case: Case, judged: Judged, report: Callable[[Progress], None]
+    request: DiagnosisRequest, case: Case, judged: Judged, report: Callable[[DiagnosisProgress], None]
 ) -> list[Candidate]:
     """Sets of two and three effects, grown from the effects of highest evidence.
 
@@ -259,7 +259,7 @@ def _grown(
                 chosen.found,
                 effects,
                 judged.search,
-                lambda done, note: report(Progress("combinations", 0.76 + 0.18 * done, note)),
+                lambda done, note: report(DiagnosisProgress("combinations", 0.76 + 0.18 * done, note)),
                 weak,
             )
             if not tried:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from pandas import DataFrame
 
-__all__ = ["DiagnosisRequest", "DiagnosisResult", "DriveView", "Progress"]
+__all__ = ["DiagnosisProgress", "DiagnosisRequest", "DiagnosisResult", "DriveView"]
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class DiagnosisRequest:
 
 
 @dataclass(frozen=True)
-class Progress:
+class DiagnosisProgress:
     """Progress of a diagnosis: ``stage`` "reading", "calibrating", "effects", "refining",
     "combinations", "judging"; ``done`` 0 to 1 of the whole."""
 

@@ -24,7 +24,7 @@ from suspension_twin.diagnosis.conclude import conclude
 from suspension_twin.diagnosis.decision import Costs
 from suspension_twin.diagnosis.judge import Judged, judge, with_joint_noise
 from suspension_twin.diagnosis.library import SETUP_CATEGORIES
-from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, Progress
+from suspension_twin.diagnosis.request import DiagnosisProgress, DiagnosisRequest, DiagnosisResult
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.errors import InputError
 from suspension_twin.inference.checkpoint import Checkpoint, Rounds, code_digest
@@ -42,7 +42,7 @@ _SOUND, _OTHER_VEHICLE = 0.17, 0.6
 
 def diagnose(
     request: DiagnosisRequest,
-    on_progress: Callable[[Progress], None] | None = None,
+    on_progress: Callable[[DiagnosisProgress], None] | None = None,
     should_stop: Callable[[], bool] | None = None,
 ) -> DiagnosisResult:
     """Diagnose the gap between twin and car: where, why, how sure, and what closes it.
@@ -52,7 +52,7 @@ def diagnose(
     request : DiagnosisRequest
         Twin file and drives.
     on_progress : callable, optional
-        Called with a :class:`~suspension_twin.diagnosis.request.Progress`.
+        Called with a :class:`~suspension_twin.diagnosis.request.DiagnosisProgress`.
     should_stop : callable, optional
         Asked between pieces of work; True ends it.
 
@@ -111,12 +111,12 @@ def _missed(level: float) -> str:
 
 
 def _judged(
-    request: DiagnosisRequest, report: Callable[[Progress], None], stop: Callable[[], bool]
+    request: DiagnosisRequest, report: Callable[[DiagnosisProgress], None], stop: Callable[[], bool]
 ) -> tuple[Case, Judged]:
-    report(Progress("reading", 0.0))
-    case = read_case(request, lambda note: report(Progress("reading", 0.02, note)), stop)
+    report(DiagnosisProgress("reading", 0.0))
+    case = read_case(request, lambda note: report(DiagnosisProgress("reading", 0.02, note)), stop)
     problem = build(case, stop)
-    report(Progress("calibrating", 0.08, "the vehicle without any effect"))
+    report(DiagnosisProgress("calibrating", 0.08, "the vehicle without any effect"))
     problem, base, anchor = baseline(case, problem)
     rounds = _rounds(request, case, problem)
     if not case.excited:
@@ -143,7 +143,10 @@ def _rounds(request: DiagnosisRequest, case: Case, problem: Problem) -> Rounds:
 
 
 def _before_and_after(
-    request: DiagnosisRequest, report: Callable[[Progress], None], stop: Callable[[], bool], began: float
+    request: DiagnosisRequest,
+    report: Callable[[DiagnosisProgress], None],
+    stop: Callable[[], bool],
+    began: float,
 ) -> DiagnosisResult | None:
     """Errors of the set-up (clock, map, mount) in reference and gap drives alike; None where nothing is named.
 

@@ -229,7 +229,7 @@ class Products:
     def left(
         self, columns: NDArray[np.intp], beside: NDArray[np.intp] | None = None, scale: Floats | None = None
     ) -> tuple[Floats, Floats]:
-        """What the known parameters, and multiples of the columns ``beside`` (n,), leave of ``columns`` (S,).
+        """Squares that the known parameters, and multiples of the columns ``beside`` (n,), leave of ``columns`` (S,).
 
         A multiple is normal about 0 with the standard deviation ``scale`` (n,), and at most three of them. Returns the
         ratios (B, S) of what is left to the expected residual, rms over rms, and the whitened squares (S,).

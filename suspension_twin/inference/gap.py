@@ -38,7 +38,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Gap:
-    """What separates two signals after the same filter.
+    """Differences of two signals after the same filter.
 
     Parameters
     ----------

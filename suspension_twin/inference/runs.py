@@ -66,7 +66,7 @@ def rig_run(
     force: Floats | None = None,
     max_step: float = MAX_STEP,
 ) -> Excitation:
-    """What a recorded run excites a model with: a road along which it moves at 1 m/s without turning.
+    """Excitation of a model by a recorded run: a road along which it moves at 1 m/s without turning.
 
     Parameters
     ----------
@@ -142,8 +142,8 @@ def observe_rig(
         {name: apply(values) for name, values in raw.items()},
         {name: floor_rms(values, path, still) for name, values in raw.items()},
         _grid(path.grid[rows], path.rate / every, spec.cutoff, apply, 1.0),
-        OF_A_RIG,
-        _RIG_BLOCK,
+        priors=OF_A_RIG,
+        block=_RIG_BLOCK,
     )
     return replace(found, warnings=record.warnings)
 
@@ -160,6 +160,7 @@ def _run(
     measured: dict[str, Floats],
     noise_rms: dict[str, float],
     grid: Grid,
+    *,
     priors: NuisancePriors,
     block: float,
 ) -> Observation:
@@ -245,8 +246,8 @@ def marker_observation(run: MarkerRun, known: Sequence[Observation] = ()) -> Obs
         {n: channels[:, i] for i, n in enumerate(names) if seen[i]},
         {n: float(FLOORS[i]) for i, n in enumerate(names) if seen[i]},
         _grid(run.t, rate, CUTOFF, apply, run.speed),
-        OF_A_RUN,
-        _OBSTACLE_BLOCK,
+        priors=OF_A_RUN,
+        block=_OBSTACLE_BLOCK,
     )
 
 

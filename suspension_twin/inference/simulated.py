@@ -65,7 +65,7 @@ class SimulatedDrive(Comparison):
         return self.observation.condition(self.response)
 
     def as_dict(self) -> dict[str, Any]:
-        """What ``gap.json`` holds: the gap, and how it was measured."""
+        """Contents of ``gap.json``: the gap, and how it was measured."""
         spec = self.observation.settings.filter
         low_pass = {"kind": "Butterworth low-pass", "order": spec.order, "cutoff_hz": spec.cutoff}
         return {

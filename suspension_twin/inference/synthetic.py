@@ -117,11 +117,12 @@ def synthetic_drive(
     knots: Sequence[tuple[float, float]],
     seed: int,
     errors: SensorErrors | None = None,
+    *,
     u: float = 5.0,
     v: float = 0.0,
     name: str = "synthetic",
 ) -> Drive:
-    """What the sensors of a known twin would record, to test a method on.
+    """Drive as the sensors of a known twin would record it, to test a method on.
 
     Parameters
     ----------

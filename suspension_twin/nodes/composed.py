@@ -293,7 +293,7 @@ class Composed:
 
     @property
     def notes(self) -> list[str]:
-        """What the live sources have to tell the user."""
+        """Lines of the live sources for the user."""
         return [] if self.source is None else self.source.notes
 
     def parameter_names(self) -> dict[str, list[str]]:

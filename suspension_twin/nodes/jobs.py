@@ -173,7 +173,7 @@ def run_diagnosis(
 
     began = time.monotonic()
 
-    def step(stage: diagnosis.Progress) -> None:
+    def step(stage: diagnosis.DiagnosisProgress) -> None:
         done = min(max(stage.done, 0.0), 1.0)
         left = (time.monotonic() - began) * (1.0 - done) / done if done >= _EXTRAPOLATED else math.nan
         on_progress(DiagnosisStep(stage.stage, done, left, stage.note))

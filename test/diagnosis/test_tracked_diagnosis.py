@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from suspension_twin.diagnosis.library import library
-from suspension_twin.diagnosis.request import DiagnosisRequest, Progress
+from suspension_twin.diagnosis.request import DiagnosisProgress, DiagnosisRequest
 from suspension_twin.diagnosis.run import diagnose
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.errors import InputError
@@ -86,7 +86,7 @@ def test_the_library_has_a_hypothesis_for_each_station(file: str) -> None:
 
 
 def test_a_diagnosis_ends_when_asked(file: str, cut: Cut) -> None:
-    heard: list[Progress] = []
+    heard: list[DiagnosisProgress] = []
     with pytest.raises(Interrupted):
         diagnose(DiagnosisRequest(file, (cut(2),)), heard.append, lambda: len(heard) >= 2)
     assert heard[-1].stage == "calibrating"

@@ -14,7 +14,7 @@ from action_msgs.msg import GoalStatus
 from nodes_bench import Client, PlainPage, worst
 from stand_ins import cannot, five_generations, judge_until_stopped, judged
 
-from suspension_twin.diagnosis.request import DiagnosisResult, Progress
+from suspension_twin.diagnosis.request import DiagnosisProgress, DiagnosisResult
 from suspension_twin.nodes.calibrator import CalibratorNode
 from suspension_twin.nodes.jobs import diagnosis_job, run_diagnosis
 from suspension_twin.vehicle.twin import load_twin
@@ -119,7 +119,7 @@ def test_the_work_hands_on_the_stages_and_leaves_the_three_files(goal, twin_path
 
     def diagnose(request, tell, should_stop):
         for done in (0.0, 0.5, 2.0):
-            tell(Progress("effects", done, "top_mount"))
+            tell(DiagnosisProgress("effects", done, "top_mount"))
         return result
 
     monkeypatch.setattr("suspension_twin.diagnosis.run.diagnose", diagnose)

@@ -25,7 +25,7 @@ from suspension_twin.addons.roads.scan.corridor import ScanPath, gather, read_pa
 from suspension_twin.addons.roads.scan.ground import ground_cells, ground_points
 from suspension_twin.addons.roads.scan.registration import Ambiguous, register
 from suspension_twin.addons.roads.scan.response import RoadResponse, road_responses, steady_path
-from suspension_twin.addons.roads.scan.surface import Grid, Surface, fit_surface
+from suspension_twin.addons.roads.scan.surface import Surface, SurfaceGrid, fit_surface
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.files import replacing, together, write_text
@@ -179,7 +179,7 @@ def road_from_scan(
     steps = chosen.steps or _steps_for(ground.u.size / (line.length * 2.0 * (half + _BESIDE)))
     line = Centreline(line.x, line.y, steps[0])
     nv = 2 * max(1, round(half / steps[1])) + 1
-    grid = Grid(line.x.size, nv, steps[0], 2.0 * half / (nv - 1), -half)
+    grid = SurfaceGrid(line.x.size, nv, steps[0], 2.0 * half / (nv - 1), -half)
     inner = ground[np.abs(ground.v) <= half]
     surface = fit_surface(inner, grid, chosen.seed, lambda share: progress("fitting the surface", share))
     status = _status(surface.count, grid, chosen.fill)
@@ -244,7 +244,7 @@ def _steps_for(density: float) -> tuple[float, float]:
     return next((s for s in _STEPS if density * s[0] * s[1] >= _PER_CELL), _STEPS[-1])
 
 
-def _status(count: Floats, grid: Grid, fill: float) -> NDArray[np.int8]:
+def _status(count: Floats, grid: SurfaceGrid, fill: float) -> NDArray[np.int8]:
     """Whether each node is measured, filled or a hole: holes narrower than ``fill`` m are filled."""
     # A single node without a point among nodes with points is no hole.
     known = np.pad(count > 0, 1, mode="edge")

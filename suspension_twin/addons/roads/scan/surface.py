@@ -32,7 +32,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
 from suspension_twin.errors import WorkError
 
-__all__ = ["Grid", "Points", "Surface", "fit_surface"]
+__all__ = ["Points", "Surface", "SurfaceGrid", "fit_surface"]
 
 #: Degrees of freedom of both Student t distributions, as is usual for robust fits (Lange et al., section 5).
 _FREEDOM = 4.0
@@ -62,7 +62,7 @@ class Points:
 
 
 @dataclass(frozen=True)
-class Grid:
+class SurfaceGrid:
     """Nodes at ``u`` = u0 + i du and ``v`` = v0 + j dv, m."""
 
     nu: int
@@ -77,7 +77,7 @@ class Grid:
         """(nv,) m across."""
         return np.asarray(self.v0 + self.dv * np.arange(self.nv, dtype=np.float64))
 
-    def rows(self, begin: int, end: int) -> Grid:
+    def rows(self, begin: int, end: int) -> SurfaceGrid:
         """The nodes from row ``begin`` to before ``end``."""
         return replace(self, nu=end - begin, u0=begin * self.du)
 
@@ -110,7 +110,7 @@ class Surface:
 
 
 def fit_surface(
-    points: Points, grid: Grid, seed: int = 0, progress: Callable[[float], None] = lambda share: None
+    points: Points, grid: SurfaceGrid, seed: int = 0, progress: Callable[[float], None] = lambda share: None
 ) -> Surface:
     """Fit the surface tile by tile along u; neighbouring tiles are faded into each other."""
     rows_tile = max(4, round(_TILE / grid.du))
@@ -139,7 +139,7 @@ def fit_surface(
     return out
 
 
-def _fit_tile(points: Points, grid: Grid, rng: np.random.Generator) -> Surface:
+def _fit_tile(points: Points, grid: SurfaceGrid, rng: np.random.Generator) -> Surface:
     """The surface on some rows of nodes."""
     nu, nv, n = grid.nu, grid.nv, grid.nu * grid.nv
     place = (grid.u0, grid.v0, grid.du, grid.dv)

@@ -47,7 +47,7 @@ _SETTINGS = TrimSettings()
 
 @dataclass(frozen=True, eq=False)
 class Standstill:
-    """What the IMU shows at rest.
+    """Readings of the IMU at rest.
 
     Parameters
     ----------

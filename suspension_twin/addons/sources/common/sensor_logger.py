@@ -69,7 +69,7 @@ def axes_of(address: Address) -> str:
 
 
 @dataclass
-class Message:
+class LoggerMessage:
     """One message: rows by sensor, (n, 4) stamp in s and x, y, z, for ``location`` (n, 8); ``refused`` readings."""
 
     number: int
@@ -81,7 +81,7 @@ class Message:
     arrival: float = field(default=0.0, compare=False)
 
 
-def parse_message(body: bytes | str) -> Message:
+def parse_message(body: bytes | str) -> LoggerMessage:
     """A message from its JSON. Raises InputError where it is none; readings with a wrong field are left out and
     counted."""
     data = read_object(body)
@@ -90,7 +90,7 @@ def parse_message(body: bytes | str) -> Message:
         raise InputError("message", "payload", f"not a list of at most {_MOST_READINGS} readings")
     if isinstance(count, bool) or not isinstance(count, int) or not 0 <= count < 1 << 53:
         raise InputError("message", "messageId", "not a whole number")
-    message = Message(count, _word(data.get("sessionId")), _word(data.get("deviceId")), {})
+    message = LoggerMessage(count, _word(data.get("sessionId")), _word(data.get("deviceId")), {})
     rows: dict[str, list[tuple[float, ...]]] = {}
     for reading in payload:
         row: tuple[float, ...]
@@ -156,7 +156,7 @@ class _Axes:
         self._standard: bool | None = None
         self._force = np.zeros(3)
 
-    def look(self, message: Message) -> None:
+    def look(self, message: LoggerMessage) -> None:
         """Learn from a message."""
         self.seen |= message.rows.keys()
         if self._certain and not self.in_g:
@@ -210,12 +210,12 @@ class _Phone:
         self.axes = axes
         self._session = ""
         self._next = -1
-        self._early: dict[int, Message] = {}
+        self._early: dict[int, LoggerMessage] = {}
         self._done: deque[int] = deque(maxlen=256)
-        self._undecided: list[Message] = []
+        self._undecided: list[LoggerMessage] = []
         self._gravity = np.empty((0, 4))
 
-    def take(self, message: Message) -> None:
+    def take(self, message: LoggerMessage) -> None:
         """Order by number: the sender's requests may overtake one another."""
         count = message.number
         if message.session != self._session or self._next < 0 or count < self._next - _RECOUNT:
@@ -254,7 +254,7 @@ class _Phone:
         while self._next in self._early:
             self._use(self._early.pop(self._next))
 
-    def _use(self, message: Message) -> None:
+    def _use(self, message: LoggerMessage) -> None:
         self._done.append(message.number)
         self._next = max(self._next, message.number + 1)
         self.device.counts["messages"] += 1
@@ -277,7 +277,7 @@ class _Phone:
             self._vectors(message)
             self._places(message)
 
-    def _vectors(self, message: Message) -> None:
+    def _vectors(self, message: LoggerMessage) -> None:
         rows, device, arrival = message.rows, self.device, message.arrival
         for sensor in ("gyroscope", "gyroscopeuncalibrated"):
             if sensor in rows:
@@ -307,7 +307,7 @@ class _Phone:
         sums = [linear[:, i] + np.interp(linear[:, 0], known[:, 0], known[:, i]) for i in (1, 2, 3)]
         return np.column_stack([linear[:, 0], *sums])
 
-    def _places(self, message: Message) -> None:
+    def _places(self, message: LoggerMessage) -> None:
         rows = message.rows.get("location")
         if rows is None:
             return
@@ -325,7 +325,7 @@ class Phones:
         self._hub, self._rank, self._wanted, self._only = hub, rank, axes, only
         self._phones: dict[str, _Phone] = {}
 
-    def feed(self, body: bytes | str, arrival: float) -> Message:
+    def feed(self, body: bytes | str, arrival: float) -> LoggerMessage:
         """Take one message; InputError where it is none."""
         message = parse_message(body)
         message.arrival = arrival
@@ -347,7 +347,7 @@ class Phones:
 
     def is_spare(self, message: object) -> bool:
         """Whether nothing of the phone that has sent ``message`` is used: another device is in charge."""
-        phone = self._phones.get(message.device) if isinstance(message, Message) else None
+        phone = self._phones.get(message.device) if isinstance(message, LoggerMessage) else None
         return phone is not None and phone.device not in self._hub.chosen.values()
 
     def tick(self, now: float) -> None:
