@@ -26,6 +26,7 @@ from suspension_twin.errors import InputError, SuspensionTwinError, WorkError, p
 
 __all__ = [
     "NO_SPACE",
+    "Json",
     "check_writable",
     "comment_lines",
     "explained",
@@ -41,6 +42,9 @@ __all__ = [
     "write_text",
     "writing",
 ]
+
+#: An object of JSON: a document, or a part of one.
+Json = dict[str, Any]
 
 #: A disk or quota that is full: the input was usable, so the work failed.
 NO_SPACE: Final = (errno.ENOSPC, errno.EDQUOT)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from suspension_twin.arrays import Floats
+from suspension_twin.files import Json
 
 __all__ = ["CmaSearch"]
 
@@ -64,7 +65,7 @@ class CmaSearch:
     def finished(self) -> bool:
         return bool(self._search.stop())
 
-    def state(self) -> tuple[dict[str, Floats], dict[str, Any]]:
+    def state(self) -> tuple[dict[str, Floats], Json]:
         """Arrays and plain values for ``restore``."""
         return {"costs": np.array(self._costs)}, {}
 

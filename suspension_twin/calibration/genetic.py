@@ -25,6 +25,7 @@ from pymoo.operators.mutation.pm import PM
 from pymoo.operators.selection.tournament import TournamentSelection
 
 from suspension_twin.arrays import Floats
+from suspension_twin.files import Json
 
 __all__ = ["GaSettings", "GeneticSearch"]
 
@@ -46,7 +47,7 @@ class GaSettings:
         return max(1, int(np.ceil(self.elite_share * self.population - 1e-9)))
 
 
-def _cheapest(pop: Any, contestants: Any, **_: Any) -> Any:
+def _cheapest(pop: Any, contestants: Any, **_: object) -> Any:
     """(n, 1) the winner, by cost, of each tournament of ``contestants`` (n, k), rows of ``pop``."""
     costs = pop.get("F")[contestants, 0]
     return np.take_along_axis(contestants, np.argmin(costs, axis=1)[:, None], axis=1)
@@ -124,7 +125,7 @@ class GeneticSearch:
         """Mean cost of the last population, failed candidates left out."""
         return self.mean[-1]
 
-    def state(self) -> tuple[dict[str, Floats], dict[str, Any]]:
+    def state(self) -> tuple[dict[str, Floats], Json]:
         """Arrays and plain values that ``restore`` takes up again to the same bits."""
         arrays = {
             "population": self._x,

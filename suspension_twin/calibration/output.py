@@ -5,13 +5,12 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
 
 import yaml
 
 from suspension_twin import __version__
 from suspension_twin.calibration.request import CalibrationResult
-from suspension_twin.files import comment_lines, together, write_text
+from suspension_twin.files import Json, comment_lines, together, write_text
 from suspension_twin.vehicle.twin import save_twin
 
 __all__ = ["describe", "details_path", "write_result"]
@@ -70,7 +69,7 @@ def _heading(result: CalibrationResult, details: Path) -> str:
     return comment_lines(*lines)
 
 
-def describe(result: CalibrationResult) -> dict[str, Any]:
+def describe(result: CalibrationResult) -> Json:
     """The result as plain values. A number that could not be had is null."""
     return {
         "preset": result.preset,
@@ -144,5 +143,5 @@ def _number(value: float) -> float | None:
     return float(f"{value:.7g}") if math.isfinite(value) else None
 
 
-def _plain(value: dict[str, Any]) -> dict[str, Any]:
+def _plain(value: Json) -> Json:
     return {k: _plain(v) if isinstance(v, dict) else _number(v) for k, v in value.items()}

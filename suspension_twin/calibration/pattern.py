@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from suspension_twin.arrays import Floats
+from suspension_twin.files import Json
 
 __all__ = ["PatternSearch", "PatternSettings"]
 
@@ -86,7 +87,7 @@ class PatternSearch:
         """The best cost: a pattern search has no population."""
         return self.cost
 
-    def state(self) -> tuple[dict[str, Floats], dict[str, Any]]:
+    def state(self) -> tuple[dict[str, Floats], Json]:
         """Arrays and plain values for ``restore``."""
         return {"x": self.x}, {name: getattr(self, name) for name in _PLAIN}
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from suspension_twin import __version__
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.request import CalibrationRequest, Progress
 from suspension_twin.calibration.setup import Setup
+from suspension_twin.files import Json
 from suspension_twin.inference.checkpoint import Checkpoint, State
 from suspension_twin.inference.noise import Whitener
 from suspension_twin.inference.observation import content_digest
@@ -101,7 +101,7 @@ class Recorder:
         stage = "refine" if refine else "search"
         self.on_progress(Progress(stage, self.generations, self.evaluations, best, mean, left))
 
-    def save(self, stage: str, arrays: dict[str, Floats], plain: dict[str, Any], now: bool = False) -> None:
+    def save(self, stage: str, arrays: dict[str, Floats], plain: Json, now: bool = False) -> None:
         """Write the state every few generations, or ``now``."""
         if self.store is None or not (now or self.generations - self._saved >= _SAVE_EVERY):
             return

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from suspension_twin.diagnosis import wording
-from suspension_twin.diagnosis.decision import Costs, Decision, Json, decide, single, usual_level
+from suspension_twin.diagnosis.decision import Costs, Decision, decide, single, usual_level
 from suspension_twin.diagnosis.request import DiagnosisResult
 from suspension_twin.errors import InputError
-from suspension_twin.files import reading, write_text
+from suspension_twin.files import Json, reading, write_text
 from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin, save_twin
 
 __all__ = ["answer_of", "decided_anew", "leading_channel", "write", "write_document"]

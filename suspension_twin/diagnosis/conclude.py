@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -31,6 +30,7 @@ from suspension_twin.diagnosis.where import (
     strongest_tone,
 )
 from suspension_twin.effects.registry import EFFECTS
+from suspension_twin.files import Json
 from suspension_twin.inference.cross_validation import evidence
 from suspension_twin.inference.fit import LONG, fitted, twin_of
 from suspension_twin.inference.observation import Observation
@@ -81,7 +81,7 @@ def conclude(request: DiagnosisRequest, case: Case, judged: Judged, seconds: flo
     return DiagnosisResult(document, twin, views, seconds, case.warnings, rows)
 
 
-def _of_row(judged: Judged, rows: dict[str, Any], decision: Decision) -> Candidate:
+def _of_row(judged: Judged, rows: Json, decision: Decision) -> Candidate:
     """The hypothesis of the row that was decided for."""
     hypotheses = [*judged.singles, *judged.sets]
     for one, row in zip(hypotheses, rows["hypotheses"], strict=True):
@@ -116,7 +116,7 @@ def _refined(judged: Judged, one: Candidate) -> tuple[Candidate, Problem]:
     return candidate(replace(judged, problem=problem), evidence(fine, fit, judged.blocks)), problem
 
 
-def _next(case: Case, judged: Judged, document: dict[str, Any], section: dict[str, Any] | None) -> str:
+def _next(case: Case, judged: Judged, document: Json, section: Json | None) -> str:
     if section is not None and section["like"] and document["verdict"] == "unknown":
         span = f"from {section['start_m']:.0f} to {section['end_m']:.0f} m"
         return f"Survey the road {span} again: no drive changes its file."
@@ -127,7 +127,7 @@ def _next(case: Case, judged: Judged, document: dict[str, Any], section: dict[st
     return next_experiment(case, tied, document["verdict"], judged)
 
 
-def _periodic(case: Case, problem: Problem, remaining: RemainingResidual) -> dict[str, Any]:
+def _periodic(case: Case, problem: Problem, remaining: RemainingResidual) -> Json:
     """The strongest tonal component of the remaining residual, by period in m or by frequency in Hz; empty if none."""
     tone = strongest_tone(problem, remaining, _LEAST_TONE_SHARE) if case.road else None
     if tone is None or tone.strength < _TONE:
@@ -136,7 +136,7 @@ def _periodic(case: Case, problem: Problem, remaining: RemainingResidual) -> dic
     return {"periodic": {"channel": tone.channel, **at, "share": _round(tone.share)}}
 
 
-def _road_section(case: Case, judged: Judged, only: Sequence[str]) -> dict[str, Any] | None:
+def _road_section(case: Case, judged: Judged, only: Sequence[str]) -> Json | None:
     """The section of road where the recalibrated residual is concentrated, with the errors of the road file that would
     explain it there, ``like`` whether one does; None without a section."""
     problem = judged.problem
@@ -167,7 +167,7 @@ def _road_section(case: Case, judged: Judged, only: Sequence[str]) -> dict[str, 
     }
 
 
-def _resembles(decision: Decision) -> list[dict[str, Any]]:
+def _resembles(decision: Decision) -> list[Json]:
     """Decoy hypotheses that resemble an unexplained gap, the most probable first."""
     pairs = zip(decision.answers, decision.probability, strict=True)
     like = [

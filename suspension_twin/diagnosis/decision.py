@@ -18,12 +18,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
+from suspension_twin.files import Json
 
 __all__ = [
     "FEATURES",
@@ -41,8 +41,6 @@ __all__ = [
     "usual_level",
 ]
 
-Json = dict[str, Any]
-"""A JSON object: a document, or a row of evidence."""
 
 #: Version of the rows of ``evidence.json``: others are refused.
 FORMAT = 1

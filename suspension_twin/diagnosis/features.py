@@ -18,7 +18,7 @@ from scipy.stats import chi2
 
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.case import Case
-from suspension_twin.diagnosis.decision import FORMAT, Json
+from suspension_twin.diagnosis.decision import FORMAT
 from suspension_twin.diagnosis.judge import Candidate, Judged, detectable, tempered_gain
 from suspension_twin.diagnosis.library import DECOYS, SETUP_CATEGORIES, library
 from suspension_twin.diagnosis.shrink import (
@@ -29,6 +29,7 @@ from suspension_twin.diagnosis.shrink import (
     relative_residual,
 )
 from suspension_twin.diagnosis.where import concentrated_section, strongest_tone, unevenness
+from suspension_twin.files import Json
 from suspension_twin.inference.cross_validation import Evidence, intervals
 from suspension_twin.inference.fit import linearised_fit
 from suspension_twin.inference.hypothesis import Hypothesis

@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.case import Case
-from suspension_twin.diagnosis.decision import Json
 from suspension_twin.diagnosis.judge import Candidate, Judged
 from suspension_twin.diagnosis.library import library
 from suspension_twin.diagnosis.sensitivity import Change, Products, planned_drive, products
@@ -31,7 +30,7 @@ from suspension_twin.diagnosis.wording import capital, effect_name
 from suspension_twin.effects.base import Parameter
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.errors import InputError, SuspensionTwinError
-from suspension_twin.files import write_text
+from suspension_twin.files import Json, write_text
 from suspension_twin.inference.fit import twin_of
 from suspension_twin.inference.hypothesis import Hypothesis
 from suspension_twin.inference.noise import USUAL_SHARE

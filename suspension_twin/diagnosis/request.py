@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
-from suspension_twin.diagnosis.decision import Costs, Json
+from suspension_twin.diagnosis.decision import Costs
 from suspension_twin.display import axes_or_new, bulleted, table
 from suspension_twin.drive.read import Topics
+from suspension_twin.files import Json
 from suspension_twin.vehicle.twin import Twin
 
 if TYPE_CHECKING:

@@ -27,8 +27,8 @@ from scipy.ndimage import gaussian_filter1d, median_filter
 from scipy.stats import false_discovery_control, norm
 
 from suspension_twin.arrays import Floats, runs
-from suspension_twin.diagnosis.decision import Json
 from suspension_twin.diagnosis.shrink import RemainingResidual, drives_of
+from suspension_twin.files import Json
 from suspension_twin.inference.fit import DEEP, refit
 from suspension_twin.inference.hypothesis import Hypothesis
 from suspension_twin.inference.noise import density, shares

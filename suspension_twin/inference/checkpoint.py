@@ -29,7 +29,7 @@ import suspension_twin
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import sources
 from suspension_twin.errors import InputError
-from suspension_twin.files import check_writable, replacing
+from suspension_twin.files import Json, check_writable, replacing
 from suspension_twin.inference.parallel import no_progress, side_by_side
 
 __all__ = ["STATE", "Checkpoint", "Rounds", "State", "code_digest", "decoded", "encoded", "stored"]
@@ -48,7 +48,7 @@ class State:
 
     stage: str
     arrays: dict[str, Floats]
-    plain: dict[str, Any]
+    plain: Json
 
 
 class Checkpoint:
@@ -94,7 +94,7 @@ class Checkpoint:
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
-def _plain(value: np.generic) -> Any:
+def _plain(value: np.generic) -> object:
     """A NumPy scalar as the number that it is; floats keep all their bits."""
     return value.item()
 
@@ -123,7 +123,7 @@ def code_digest(module: Path) -> str:
     return digest.hexdigest()
 
 
-def encoded(value: Any, arrays: dict[str, Floats]) -> Any:
+def encoded(value: object, arrays: dict[str, Floats]) -> Any:
     """A value as plain JSON; its arrays go into ``arrays``. TypeError for what is no partial result."""
     if value is None or isinstance(value, bool | int | float | str):
         return value
@@ -146,7 +146,7 @@ def encoded(value: Any, arrays: dict[str, Floats]) -> Any:
     raise TypeError(f"{type(value).__name__} is no partial result")
 
 
-def decoded(value: Any, arrays: Mapping[str, Floats]) -> Any:
+def decoded(value: object, arrays: Mapping[str, Floats]) -> Any:
     """The inverse of ``encoded``."""
     if not isinstance(value, dict):
         return value

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from suspension_twin.arrays import Floats
 from suspension_twin.display import axes_or_new, bulleted, table
 from suspension_twin.errors import WorkError
-from suspension_twin.files import write_text
+from suspension_twin.files import Json, write_text
 from suspension_twin.models.car import CHANNELS
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ class Gap:
     channels: dict[str, float]
     seconds: float
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> Json:
         """The ``gap`` object of diagnosis.json, with ``seconds``."""
         return {
             "rms": self.rms,

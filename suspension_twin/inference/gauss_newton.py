@@ -23,6 +23,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from suspension_twin.arrays import Floats
+from suspension_twin.files import Json
 
 __all__ = [
     "WHITENED",
@@ -250,7 +251,7 @@ class GaussNewton:
             if each is not None:
                 each(self)
 
-    def state(self) -> tuple[dict[str, Floats], dict[str, Any]]:
+    def state(self) -> tuple[dict[str, Floats], Json]:
         """Arrays and plain values for ``restore``."""
         names = ("damping", "cost", "fit", "iteration", "calm", "finished")
         return {"x": self.x, "centre": self.centre}, {name: getattr(self, name) for name in names}

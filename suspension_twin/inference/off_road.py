@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from suspension_twin.arrays import Floats, runs
 from suspension_twin.errors import InputError
+from suspension_twin.files import Json
 from suspension_twin.road.road import Outside, Road
 
 __all__ = ["Ground", "OffRoad", "off_road", "policy_of"]
@@ -51,7 +51,7 @@ class OffRoad:
         """Time off the road."""
         return float(sum(end - start for start, end in self.segments))
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> Json:
         """As results hold it."""
         segments = [{"start": start, "end": end} for start, end in self.segments]
         return {"policy": self.policy, "share": self.share, "seconds": self.seconds, "stretches": segments}

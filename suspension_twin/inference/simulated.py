@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -16,6 +15,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.drive.types import Drive
 from suspension_twin.drive.write import BagWriter
 from suspension_twin.errors import InputError
+from suspension_twin.files import Json
 from suspension_twin.inference.gap import Comparison, Gap, write_gap
 from suspension_twin.inference.observation import Observation, ObserveSettings, observe, road_of
 from suspension_twin.models.sensor import to_sensor_axes
@@ -64,7 +64,7 @@ class SimulatedDrive(Comparison):
         """(m,) simulated signal of each channel, m/s² and rad/s."""
         return self.observation.condition(self.response)
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> Json:
         """Contents of ``gap.json``: the gap, and how it was measured."""
         spec = self.observation.settings.filter
         low_pass = {"kind": "Butterworth low-pass", "order": spec.order, "cutoff_hz": spec.cutoff}

@@ -109,7 +109,7 @@ def deferred(module: str, name: str) -> Any:
         function: Callable[..., Any] = getattr(import_module(f"{__package__}.{module}"), name)
         return function
 
-    def call(*arguments: Any, **options: Any) -> Any:
+    def call(*arguments: object, **options: object) -> Any:
         return found()(*arguments, **options)
 
     return call

@@ -206,7 +206,9 @@ def read_param_file(path: Path) -> dict[str, dict[str, Any]]:
     return {node: dict(_flat(values)) for node, values in _sections(path, data, "")}
 
 
-def _sections(path: Path, data: Mapping[Any, Any], prefix: str) -> Iterator[tuple[str, Mapping[Any, Any]]]:
+def _sections(
+    path: Path, data: Mapping[object, object], prefix: str
+) -> Iterator[tuple[str, Mapping[object, object]]]:
     """Nodes and their parameters, namespaces nested or written out."""
     for name, inner in data.items():
         full = f"{prefix}/{name}" if prefix else str(name)
@@ -220,7 +222,7 @@ def _sections(path: Path, data: Mapping[Any, Any], prefix: str) -> Iterator[tupl
             yield from _sections(path, inner, full)
 
 
-def _flat(values: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+def _flat(values: Mapping[object, object], prefix: str = "") -> Iterator[tuple[str, object]]:
     for name, value in values.items():
         if isinstance(value, dict):
             yield from _flat(value, f"{prefix}{name}.")

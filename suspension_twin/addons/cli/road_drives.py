@@ -6,13 +6,14 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from suspension_twin.cli.common import Force, Outputs, ProgressLine, Seed, TwinFile, output, print_table
 from suspension_twin.cli.road import RoadOut
 from suspension_twin.errors import InputError
+from suspension_twin.files import Json
 
 if TYPE_CHECKING:
     from suspension_twin.addons.roads.drives.drives import Part
@@ -114,7 +115,7 @@ def command(
     )
 
 
-def _print_estimate(record: dict[str, Any]) -> None:
+def _print_estimate(record: Json) -> None:
     """Warnings, heights by wavelength, and the vehicle where it was estimated as well."""
     console = output()
     for warning in record["warnings"]:
@@ -134,7 +135,7 @@ def _print_estimate(record: dict[str, Any]) -> None:
         _print_vehicle(record["joint"])
 
 
-def _print_vehicle(record: dict[str, Any]) -> None:
+def _print_vehicle(record: Json) -> None:
     """Estimated parameters of the vehicle, and those that could not be separated."""
     console = output()
     rows = []

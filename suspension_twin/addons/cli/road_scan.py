@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -21,6 +21,7 @@ from suspension_twin.cli.common import (
 )
 from suspension_twin.cli.options import grouped
 from suspension_twin.cli.road import RoadOut, print_figures
+from suspension_twin.files import Json
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -186,7 +187,7 @@ def command(
         console.print(f"{'wrong' if finding.fault else 'note'}: {finding.text}", markup=False)
 
 
-def _facts(facts: dict[str, Any]) -> list[str]:
+def _facts(facts: Json) -> list[str]:
     """Points, grid and holes of a scanned road, a line each."""
     return [
         f"points: {facts['points']} read, {facts['points_near_the_path']} along the path, "

@@ -15,7 +15,7 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from suspension_twin.addons.fleet.manifest import Item
 from suspension_twin.addons.fleet.storage import identity, is_url, outline, staged, transient
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError, SuspensionTwinError
-from suspension_twin.files import explained, together
+from suspension_twin.files import Json, explained, together
 from suspension_twin.pose.local_map import LocalMap
 from suspension_twin.road import load_road
 from suspension_twin.vehicle.twin import RoadFile, Twin, load_twin, save_twin
@@ -42,7 +42,7 @@ VELOCITY = 0.25
 _PLACE = 5.0
 _FORMAT = 1
 #: Plain values by name: what JSON holds.
-Record = dict[str, Any]
+Record = Json
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from suspension_twin.drive.clocks import iso_to_posix
 from suspension_twin.drive.streams import velocities_from_course
 from suspension_twin.drive.types import FixData, HeadingData, VelocityData
 from suspension_twin.errors import InputError
+from suspension_twin.files import Json
 
 __all__ = ["EXAMPLE", "STEPS", "TITLE", "Gpsd", "make"]
 
@@ -69,7 +70,7 @@ class Gpsd(Receiver):
             except (KeyError, TypeError, ValueError, OverflowError, AttributeError, InputError):
                 self.device.counts["reports with a wrong field"] += 1
 
-    def _position(self, report: dict[str, Any], arrival: float) -> None:
+    def _position(self, report: Json, arrival: float) -> None:
         if not isinstance(report.get("time"), str) or report.get("mode", 0) not in (2, 3):
             self.device.counts["epochs without a fix"] += 1
             return
@@ -95,7 +96,7 @@ class Gpsd(Receiver):
             enu = [given["velE"], given["velN"], 0.0 if math.isnan(down) else -down]
             self.device.velocity(VelocityData(t, np.array([enu])), arrival)
 
-    def _attitude(self, report: dict[str, Any], arrival: float) -> None:
+    def _attitude(self, report: Json, arrival: float) -> None:
         if "heading" in report and isinstance(report.get("time"), str):
             yaw = math.radians(90.0 - number(report["heading"]))
             self.device.heading(

@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
+from paho.mqtt.reasoncodes import ReasonCode
 
 from suspension_twin.addons.sources.common.clock import host_time
 from suspension_twin.addons.sources.common.connection import Address, PlainSource
@@ -94,7 +95,9 @@ class Mqtt(PlainSource):
 
     # On the client's thread
 
-    def _on_connect(self, client: Client, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
+    def _on_connect(
+        self, client: Client, _data: object, _flags: object, reason: ReasonCode, _props: object
+    ) -> None:
         if reason.is_failure:
             self._hub.notify(
                 "error", f"refused {self._name}", f"{self._name}: refuses the connection, {reason}"
@@ -103,15 +106,17 @@ class Mqtt(PlainSource):
             client.subscribe(self._topic, qos=0)
             self._hub.notify("ok", f"connection {self._name}", f"{self._name}: connected")
 
-    def _on_connect_fail(self, _client: Client, _data: Any) -> None:
+    def _on_connect_fail(self, _client: Client, _data: object) -> None:
         self._hub.notify("warn", f"connection {self._name}", f"{self._name}: cannot be reached; trying again")
 
-    def _on_disconnect(self, _client: Client, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
+    def _on_disconnect(
+        self, _client: Client, _data: object, _flags: object, reason: ReasonCode, _props: object
+    ) -> None:
         if reason.is_failure:
             text = f"{self._name}: the connection was lost ({reason}); trying again"
             self._hub.notify("warn", f"connection {self._name}", text)
 
-    def _on_message(self, _client: Client, _data: Any, message: MQTTMessage) -> None:
+    def _on_message(self, _client: Client, _data: object, message: MQTTMessage) -> None:
         if self._pending >= _WAITING or len(message.payload) > _LARGEST:
             self.refused += 1
             return

@@ -158,7 +158,7 @@ class Nmea(Receiver):
         return moment.timestamp()
 
 
-def _number(value: Any) -> float:
+def _number(value: object) -> float:
     """NaN for a field that is empty."""
     return float(value) if isinstance(value, int | float) else math.nan
 

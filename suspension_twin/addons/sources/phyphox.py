@@ -225,11 +225,11 @@ class Phyphox(PlainSource):
             )
 
 
-def _list(value: Any) -> list[Any]:
+def _list(value: object) -> list[Any]:
     return value if isinstance(value, list) else []
 
 
-def _column(buffer: Any) -> Floats:
+def _column(buffer: object) -> Floats:
     """Numbers of a buffer or a list, NaN for what is none."""
     values = buffer.get("buffer") if isinstance(buffer, dict) else buffer
     found = (

@@ -32,6 +32,7 @@ from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.streams import phone_fix, velocities_from_course
 from suspension_twin.errors import InputError
+from suspension_twin.files import Json
 
 __all__ = ["EXAMPLE", "STEPS", "TITLE", "SensorServer", "make"]
 
@@ -103,7 +104,7 @@ class SensorServer(PlainSource):
     async def _location(self) -> None:
         await self._listen("/gps", self._take_location)
 
-    def _take(self, data: dict[str, Any], arrival: float) -> None:
+    def _take(self, data: Json, arrival: float) -> None:
         t = np.array([number(data["timestamp"]) * 1e-9])
         values: Floats = np.array([[number(value) for value in data["values"][:3]]])
         if values.shape != (1, 3) or t[0] <= 0:
@@ -114,7 +115,7 @@ class SensorServer(PlainSource):
             self.device.rate(t, values, arrival)
         self.device.flush(arrival, complete=False)
 
-    def _take_location(self, data: dict[str, Any], arrival: float) -> None:
+    def _take_location(self, data: Json, arrival: float) -> None:
         if data.get("lastKnowLocation") is True:  # as the app spells it
             return
         device, of_boot = self.device, "elapsedRealtimeNanos" in data

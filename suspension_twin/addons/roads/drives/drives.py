@@ -8,7 +8,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from suspension_twin.addons.roads.drives.estimate import (
 from suspension_twin.addons.roads.recording import Observation, prepare_drive, with_datum
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
-from suspension_twin.files import write_text
+from suspension_twin.files import Json, write_text
 from suspension_twin.road.build import Centreline
 from suspension_twin.road.crg import record_path, write_road
 from suspension_twin.road.road import Road
@@ -134,7 +133,7 @@ def surface_of(found: RoadEstimate, name: str = "road from drives") -> Road:
     return WheelProfiles(line, whole.track, heights, whole.across).road(name)
 
 
-def write_estimate(found: RoadEstimate, twin: Twin, path: Path) -> dict[str, Any]:
+def write_estimate(found: RoadEstimate, twin: Twin, path: Path) -> Json:
     """Write the road to ``path`` and its uncertainty to the record beside it; return the record.
 
     Parameters
@@ -169,7 +168,7 @@ def write_estimate(found: RoadEstimate, twin: Twin, path: Path) -> dict[str, Any
     datum = found.passes[0].prepared.twin.datum
     assert datum is not None
     moved = [p.base + s @ p.knots for p, s in zip(found.passes, found.shifts, strict=True)]
-    record: dict[str, Any] = {
+    record: Json = {
         "origin": "drives",
         "vehicle": getattr(twin.vehicle, "name", ""),
         "datum": {"latitude": datum.latitude, "longitude": datum.longitude, "altitude": datum.altitude},

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from suspension_twin.addons.roads.drives.drives import Part, road_from_drives, write_estimate
 from suspension_twin.addons.roads.drives.estimate import RoadEstimateSettings
 from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, Samples, VelocityData
-from suspension_twin.files import replacing, together
+from suspension_twin.files import Json, replacing, together
 from suspension_twin.vehicle.twin import Datum, RoadFile, load_twin, save_twin
 
 __all__ = ["Laps", "Lesson", "Span", "learn_road", "read_lesson", "twin_path", "write_lesson"]
@@ -167,7 +167,7 @@ def read_lesson(path: Path) -> Lesson:
     text = json.loads(str(arrays["lesson"]))
     drives = []
     for k, (name, warnings) in enumerate(text["drives"]):
-        parts: dict[str, Any] = {}
+        parts: Json = {}
         for kind, make in _KINDS.items():
             start = f"{k}.{kind}."
             own = {n.removeprefix(start): a for n, a in arrays.items() if n.startswith(start)}
@@ -183,9 +183,7 @@ def twin_path(out: Path) -> Path:
     return out.with_suffix(".yaml")
 
 
-def learn_road(
-    lesson: Lesson, progress: Callable[[str, float], None] = lambda text, share: None
-) -> dict[str, Any]:
+def learn_road(lesson: Lesson, progress: Callable[[str, float], None] = lambda text, share: None) -> Json:
     """Estimate the road of some passes; write it, its record and a twin file that stands on it.
 
     Parameters

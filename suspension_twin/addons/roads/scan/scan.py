@@ -28,7 +28,7 @@ from suspension_twin.addons.roads.scan.response import RoadResponse, road_respon
 from suspension_twin.addons.roads.scan.surface import Surface, SurfaceGrid, fit_surface
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError, WorkError
-from suspension_twin.files import replacing, together, write_text
+from suspension_twin.files import Json, replacing, together, write_text
 from suspension_twin.models.registry import model_of
 from suspension_twin.road.build import Centreline, road_over
 from suspension_twin.road.check import RoadCheck, check_file, enclosed
@@ -113,7 +113,7 @@ class ScannedRoad:
     cells: Road
     surface: Surface
     status: NDArray[np.int8]
-    facts: dict[str, Any]
+    facts: Json
 
     def drawn(self, which: int) -> Road:
         """The edge-preserving road with one of the draws of its errors."""
@@ -304,7 +304,7 @@ def write_scan(
     clouds: Sequence[tuple[str, str]],
     scanned_along: ScanPath,
     responses: Sequence[RoadResponse],
-) -> dict[str, Any]:
+) -> Json:
     """Write the road, the record beside it and the uncertainty of its nodes; return the record.
 
     Parameters
@@ -327,7 +327,7 @@ def write_scan(
         The record.
     """
     datum = scanned_along.twin.datum
-    record: dict[str, Any] = {
+    record: Json = {
         "origin": "scan",
         "clouds": [{"name": name, "placing": words} for name, words in clouds],
         "path": scanned_along.name,

@@ -16,6 +16,7 @@ import aiohttp
 
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.errors import InputError, nearest
+from suspension_twin.files import Json
 
 __all__ = [
     "Address",
@@ -184,7 +185,7 @@ def _reason(error: BaseException) -> str:
     return str(error) or type(error).__name__
 
 
-def read_object(text: bytes | str) -> dict[str, Any]:
+def read_object(text: bytes | str) -> Json:
     """A JSON object; InputError for anything else."""
     try:
         data = json.loads(text)

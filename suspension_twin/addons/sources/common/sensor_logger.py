@@ -114,7 +114,7 @@ def parse_message(body: bytes | str) -> LoggerMessage:
     return message
 
 
-def _word(value: Any) -> str:
+def _word(value: object) -> str:
     """An identifier of the sender's, cut down to what is fit for a name on a terminal."""
     if not isinstance(value, str | int) or isinstance(value, bool):
         return "phone"
@@ -122,7 +122,7 @@ def _word(value: Any) -> str:
     return kept or "phone"
 
 
-def _stamp(value: Any) -> float:
+def _stamp(value: object) -> float:
     """s of a time in ns."""
     if isinstance(value, str) and len(value) < 25:
         value = int(value)
