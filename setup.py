@@ -66,6 +66,7 @@ TEST = [
     "duckdb>=1.0",
     "colcon-ros>=0.4",
     "colcon-package-information>=0.3",
+    "wheel>=0.40",
     "ruff>=0.9",
     "mypy>=1.14",
     "scipy-stubs",

@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from os import PathLike
-from typing import TypeVar, get_args
+from typing import Any, TypeVar, get_args
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
-from pydantic_core import ErrorDetails
 
 from suspension_twin.errors import InputError, nearest, shown
 
@@ -60,7 +60,7 @@ def problems(model: type[BaseModel], data: object, kind: str) -> list[str]:
     return []
 
 
-def _problem(model: type[BaseModel], detail: ErrorDetails, kind: str) -> str:
+def _problem(model: type[BaseModel], detail: Mapping[str, Any], kind: str) -> str:
     text = detail["msg"].removeprefix("Value error, ")
     if detail["type"] == "extra_forbidden":
         *path, last = detail["loc"]
@@ -70,7 +70,7 @@ def _problem(model: type[BaseModel], detail: ErrorDetails, kind: str) -> str:
     return ": ".join(part for part in (_dotted(detail), text) if part)
 
 
-def _dotted(detail: ErrorDetails) -> str:
+def _dotted(detail: Mapping[str, Any]) -> str:
     return ".".join(str(part) for part in detail["loc"])
 
 

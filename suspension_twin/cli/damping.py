@@ -51,7 +51,7 @@ def command(
     rows = [
         *(
             (f"{speed:.0f}", *(f"{1e4 * value:.2f}" for value in row))
-            for speed, row in zip(chosen.speeds, chosen.table, strict=True)
+            for speed, row in zip(chosen.speeds, chosen.table.T, strict=True)
         ),
         ("mean in range", *(f"{1e4 * value:.2f}" for value in chosen.mean)),
         ("worst over least", *(f"{value:.2f}" for value in chosen.regret)),

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class _Samples:
     """Arrays with one row a sample, ``t`` (n,) s among them."""
 
@@ -40,6 +40,9 @@ class _Samples:
 
     def __len__(self) -> int:
         return int(self.t.size)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({len(self)} samples)"
 
     def select(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> Self:
         """These rows of every array; ``rows`` is a mask (n,) or indices."""

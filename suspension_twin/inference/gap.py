@@ -192,9 +192,9 @@ def measure_gap(
     >>> from suspension_twin.inference.simulated import simulate_drive
     >>> from suspension_twin.vehicle.twin import load_twin
     >>> result = simulate_drive(read_drive("bags/crg_road"), load_twin("bags/crg_road/twin.yaml"))
-    >>> prepared = result.prepared
-    >>> simulated = prepared.condition(result.response)
-    >>> gap = measure_gap(prepared.measured, simulated, prepared.mask, prepared.rate, 0.02)
+    >>> seen = result.observation
+    >>> simulated = seen.condition(result.response)
+    >>> gap = measure_gap(seen.measured, simulated, seen.mask, seen.rate, 0.02)
     >>> gap.rms == result.gap.rms
     True
     """

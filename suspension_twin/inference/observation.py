@@ -213,8 +213,9 @@ def _stretch(whole: Excitation, first: int, last: int) -> Excitation:
     rows = whole.first[first : last + 1] - begin
     rows[0] = 0
     road = whole.road[begin : int(whole.first[last])]
-    cut = {name: getattr(whole, name)[first:last] for name in ("t", "x", "y", "yaw")}
-    return replace(whole, substeps=substeps, first=rows, road=road, motion=motion, **cut)
+    path, t = whole.path, whole.t[first:last]
+    path = replace(path, x=path.x[first:last], y=path.y[first:last], yaw=path.yaw[first:last])
+    return replace(whole, t=t, substeps=substeps, first=rows, road=road, motion=motion, path=path)
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,6 +34,8 @@ _JUMP, _TURN = 0.5, 0.3
 _HARDEST = 1e5
 #: s, time constant of the crossover at 0.4 Hz from the acceleration of the path to that of the IMU.
 _CROSSOVER = 1.0 / (2.0 * math.pi * 0.4)
+#: Bandwidth of braking, steering, pitch and roll; above it a mount rings, which offline a Wiener filter removes.
+_PLANAR = FilterSpec(2, 3.0)
 
 Vector = tuple[float, float, float]
 
@@ -96,10 +98,15 @@ class VirtualImu(NamedTuple):
 
 class PlanarAcceleration:
     """Complementary filter of the planar acceleration that excites the model, as offline: below 0.4 Hz the path's,
-    above it the IMU's, taken to the height of the centre of gravity. ``lever`` m from there to the sensor."""
+    above it the IMU's, taken to the height of the centre of gravity. ``lever`` m from there to the sensor.
+
+    The IMU's is limited to the bandwidth of the body: the mount of a sensor on a roof rings above it, and the lever
+    makes of every rad/s² as many m/s² as it is long.
+    """
 
     def __init__(self, lever: tuple[float, float, float]) -> None:
         self._lever = lever
+        self._bandwidth = LiveLowPass(_PLANAR), LiveLowPass(_PLANAR)
         self.reset()
 
     def reset(self) -> None:
@@ -107,6 +114,8 @@ class PlanarAcceleration:
         self._t = math.nan
         self._before: Vector | None = None
         self._offset: tuple[float, float] | None = None
+        for one in self._bandwidth:
+            one.reset()
 
     def step(
         self, t: float, sensed: BodyAcceleration, motion: PlanarMotion, path: tuple[float, float]
@@ -120,7 +129,8 @@ class PlanarAcceleration:
             return path
         # the angular acceleration is that of the middle between two samples
         middle = 0.5 * (before[0] + sensed.linear[0]), 0.5 * (before[1] + sensed.linear[1])
-        x, y = planar_acceleration(middle, (0.0, 0.0, motion.yaw_rate), sensed.angular, self._lever)
+        planar = planar_acceleration(middle, (0.0, 0.0, motion.yaw_rate), sensed.angular, self._lever)
+        x, y = (one.push(t, value) for one, value in zip(self._bandwidth, planar, strict=True))
         ahead, left = self._offset or (path[0] - x, path[1] - y)
         share = dt / (_CROSSOVER + dt)
         ahead, left = ahead + share * (path[0] - x - ahead), left + share * (path[1] - y - left)

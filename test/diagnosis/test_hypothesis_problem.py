@@ -165,7 +165,7 @@ def test_longer_steps_are_the_same_drives_within_the_model_discrepancy(leaning: 
         one, other = (p.having(Hypothesis(effects)).excitation(0) for p in (leaning, coarse))
         assert other.max_step == 2.5e-3
         assert other.road.shape[0] < 0.6 * one.road.shape[0]
-        assert_allclose(other.x, one.x)
+        assert_allclose(other.path.x, one.path.x)
     signals, rougher = (np.concatenate(p.signals(x)[0]) for p in (leaning, coarse))
     off = np.sqrt(np.mean((rougher - signals) ** 2, axis=0) / np.mean(signals**2, axis=0))[:3]
     assert (off > 0.0).all()

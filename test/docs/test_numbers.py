@@ -9,6 +9,8 @@ from collections import Counter
 from pathlib import Path
 
 KINDS = ("standard", "definition", "prior", "learnt", "tolerance", "threshold")
+#: Modules of inference that the fits of a diagnosis rest on.
+FITTING = ("problem", "fit", "hypothesis", "cross_validation", "checkpoint")
 MOST = 6  # numbers that are written out
 
 
@@ -51,6 +53,8 @@ def in_the_code(repository: Path) -> dict[tuple[str, str], tuple[str, int]]:
     found: dict[tuple[str, str], tuple[str, int]] = {}
     for module in sorted((repository / "suspension_twin" / "diagnosis").glob("*.py")):
         found |= set_by(module)
+    for name in FITTING:
+        found |= set_by(repository / "suspension_twin" / "inference" / f"{name}.py")
     return found
 
 

@@ -83,7 +83,7 @@ def test_setup_requires_what_is_imported(imports: Imports, setup_arguments: dict
     outside = modules - ros_only(modules)
     missing = {m for m in outside if not required & {canonical(d) for d in providers.get(m, ["nowhere"])}}
     fleet = {"dask", "distributed", "fsspec", "psutil", "pyarrow"}
-    scan = {"laspy", "plyfile", "pyproj"}
+    scan = {"pyproj"}  # laspy and plyfile are imported by name
     asked_for = {"pandas", "pytest"}  # by who makes a table or writes a test
     assert missing == {"fmpy", "foxglove", *fleet, *scan, *asked_for}, (
         "extras, of which a command says how to install them"

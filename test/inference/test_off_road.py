@@ -49,7 +49,7 @@ def test_the_result_says_where_and_which_policy(drive: Drive, twin: Twin, short:
     told = json.loads(json.dumps(result.as_dict()["off_road"]))
     assert told["policy"] == "zero" and len(told["stretches"]) == 1
     stretch = told["stretches"][0]
-    prepared = result.prepared
+    prepared = result.observation
     assert stretch["end"] == prepared.trajectory.t[-1]
     assert told["seconds"] == pytest.approx(stretch["end"] - stretch["start"])
     assert told["share"] == pytest.approx(1 - prepared.inside.mean(), abs=0.01)
@@ -64,7 +64,7 @@ def test_the_result_says_where_and_which_policy(drive: Drive, twin: Twin, short:
 def test_a_drive_on_the_road_has_nothing_to_say(drive: Drive, twin: Twin, bumps: Road) -> None:
     result = simulate_drive(drive, twin, bumps, ObserveSettings(outside="error"))
     assert result.as_dict()["off_road"] == {"policy": "error", "share": 0.0, "seconds": 0.0, "stretches": []}
-    assert not any("off the road" in w for w in result.prepared.warnings)
+    assert not any("off the road" in w for w in result.observation.warnings)
 
 
 def test_error_refuses_by_the_drives_name(drive: Drive, twin: Twin, short: Road) -> None:

@@ -89,7 +89,7 @@ def test_path_and_gap_are_those_of_the_imported_recording(
     imported = simulate_drive(import_drive([export]).drive, twin)
     live = simulate_drive(read_drive(recorded[0] / "live"), twin)
     assert live.gap.rms == pytest.approx(imported.gap.rms, rel=0.01)
-    there, here = imported.prepared.trajectory, live.prepared.trajectory
+    there, here = imported.observation.trajectory, live.observation.trajectory
     np.testing.assert_allclose(np.interp(there.t, here.t, here.x), there.x, atol=0.01)
     np.testing.assert_allclose(np.interp(there.t, here.t, here.y), there.y, atol=0.01)
 
