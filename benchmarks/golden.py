@@ -592,9 +592,9 @@ def _of_diagnoses(found: Difference, old: Item, new: Item) -> Difference:
     for name in rows[0].keys() & rows[1].keys():
         for key in NATS:
             x, y = (r[name].get(key) for r in rows)
-            if x is None and y is None:
+            if x is None or y is None:  # a key that one of the versions does not write
                 continue
-            apart = abs(y - x) if x is not None and y is not None else math.inf
+            apart = abs(y - x)
             tempered = max(tempered, apart) if key == "tempered_gain" else tempered
             if apart > nats:
                 nats, where = apart, f"{name}: {key}"
