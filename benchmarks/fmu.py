@@ -31,7 +31,7 @@ from suspension_twin.inference.synthetic import synthetic_drive
 from suspension_twin.models.live import live_twin
 from suspension_twin.models.parameters import pack
 from suspension_twin.models.simulate import simulate_lanes, simulate_twin
-from suspension_twin.models.types import PlanarMotion
+from suspension_twin.models.types import PoseSample
 from suspension_twin.road import load_road
 from suspension_twin.vehicle.twin import Twin, parse_twin, save_twin
 
@@ -87,10 +87,10 @@ def measured(folder: Path, generations: int) -> dict[str, Any]:
         simulate_lanes(twin, many, run, threads=threads)
         out[f"times_real_time_{threads}_threads"] = 8 * out["seconds"] / (time.perf_counter() - began)
     path, model = prepared.trajectory, live_twin(twin, road)
-    rows = np.column_stack([getattr(path, name) for name in ("t", *PlanarMotion._fields)]).tolist()
+    rows = np.column_stack([getattr(path, name) for name in ("t", *PoseSample._fields)]).tolist()
     began = time.perf_counter()
     for t, *row in rows:
-        model.step(t, PlanarMotion(*row))
+        model.step(t, PoseSample(*row))
     out["microseconds_a_live_step"] = 1e6 * (time.perf_counter() - began) / len(rows)
     save_twin(fmu_twin(car, file, START), folder / "twin.yaml")
     out["searches"] = [searched(name, folder, generations, chosen) for name, chosen in SEARCHES.items()]

@@ -83,7 +83,7 @@ def gap(drive: Drive, twin: Twin, folder: Path) -> dict[str, float]:
     request = asked(drive, twin, folder)
     bench = build(read_case(request, lambda note: None, lambda: False), lambda: False)
     difference = uncalibrated_residual(bench).difference
-    return {c: float(np.sqrt(np.mean(difference[:, i] ** 2))) for i, c in enumerate(bench.problem.channels)}
+    return {c: float(np.sqrt(np.mean(difference[:, i] ** 2))) for i, c in enumerate(bench.channels)}
 
 
 def halves(drive: Drive, folder: Path) -> dict[str, Any]:

@@ -144,7 +144,7 @@ def five(site: Site) -> dict[str, float]:
 
 def path_of(site: Site, drive: Drive, found: RoadEstimate) -> tuple[float, Floats]:
     """Where (m to the left of the estimate's line) a drive was, and the true heights (2, n) m of its wheel paths."""
-    path = simulate_drive(drive, site.twin, site.survey).prepared.trajectory
+    path = simulate_drive(drive, site.twin, site.survey).observation.trajectory
     u, v = found.profiles.road().xy_to_uv(path.x, path.y)
     on = path.speed > 2.0
     beside = np.interp(found.profiles.u, u[on], v[on])
@@ -214,11 +214,11 @@ def predicted(known: Sequence[tuple[float, Floats]], at: float) -> Floats:
 def gaps(drive: Drive, site: Site, roads: Sequence[Road]) -> tuple[list[float], float]:
     """Rms in m/s² that the twin leaves of the vertical acceleration on each road, and rms of what was measured."""
     results = [simulate_drive(drive, site.twin, road) for road in roads]
-    both = np.logical_and.reduce([r.prepared.mask for r in results])
+    both = np.logical_and.reduce([r.observation.mask for r in results])
     left = []
     for result in results:
-        simulated = result.prepared.condition(result.response)["vertical_acceleration"]
-        measured = result.prepared.measured["vertical_acceleration"]
+        simulated = result.observation.condition(result.response)["vertical_acceleration"]
+        measured = result.observation.measured["vertical_acceleration"]
         left.append(float(np.sqrt(np.mean((measured - simulated)[both] ** 2))))
     return left, float(np.sqrt(np.mean(measured[both] ** 2)))
 

@@ -21,7 +21,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from suspension_twin.inference.mounting import turned, without_clock_offset
 
 from suspension_twin.calibration.output import write_result
 from suspension_twin.calibration.request import CalibrationRequest
@@ -30,6 +29,7 @@ from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive
 from suspension_twin.drive.write import write_drive
 from suspension_twin.inference.observation import road_of
+from suspension_twin.inference.sensor_correction import SensorCorrection, turned
 from suspension_twin.inference.simulated import SimulatedDrive, simulate_drive
 from suspension_twin.road import Road
 from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin
@@ -83,13 +83,13 @@ def refitted(drive: Drive, twin: Twin, road: Road) -> tuple[SimulatedDrive, np.n
         return simulate_drive(drive, changed, road)
 
     def left(at: SimulatedDrive, mask: np.ndarray) -> np.ndarray:
-        simulated = at.prepared.condition(at.response)
+        simulated = at.observation.condition(at.response)
         channel = "vertical_acceleration"
-        return np.asarray((at.prepared.measured[channel] - simulated[channel])[mask])
+        return np.asarray((at.observation.measured[channel] - simulated[channel])[mask])
 
     x = np.zeros(STEPS.size)
     best = simulate_drive(drive, twin, road)
-    mask = best.prepared.mask
+    mask = best.observation.mask
     for _ in range(ITERATIONS):
         base = left(best, mask)
         jacobian = np.stack([left(seen(x + unit), mask) - base for unit in np.eye(x.size)], axis=1)
@@ -104,14 +104,14 @@ def refitted(drive: Drive, twin: Twin, road: Road) -> tuple[SimulatedDrive, np.n
 
 def judged(case: Case, late: float) -> dict[str, object]:
     """One row of the table."""
-    place, drive = load_twin(case.place), without_clock_offset(read_drive(case.held_out), -late)
+    place, drive = load_twin(case.place), SensorCorrection(clock=-late).timed(read_drive(case.held_out))
     road = road_of(place)
     with tempfile.TemporaryDirectory() as folder:
         drives = [str(bag) for bag in case.drives]
         if late:
             drives = [str(Path(folder) / bag.name) for bag in case.drives]
             for bag, copy in zip(case.drives, drives, strict=True):
-                write_drive(without_clock_offset(read_drive(bag), -late), Path(copy))
+                write_drive(SensorCorrection(clock=-late).timed(read_drive(bag)), Path(copy))
         request = CalibrationRequest(twin=str(case.twin), bags=tuple(drives))
         path, _ = write_result(calibrate(request), Path(folder) / "calibrated.yaml")
         twin = load_twin(path).model_copy(update={"datum": place.datum, "road": place.road})

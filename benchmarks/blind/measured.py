@@ -431,7 +431,7 @@ def planar_gap(sealed: Path, twin: Path, channel: str) -> float:
 
     case = read_case(DiagnosisRequest(str(twin), (str(sealed),)), lambda note: None, lambda: False)
     bench = build(case, lambda: False)
-    c = bench.problem.channels.index(channel)
+    c = bench.channels.index(channel)
     left = uncalibrated_residual(bench).difference[:, c]
     noise = case.drives[0].noise_rms[channel]
     return float(np.sqrt(max(np.mean(left**2) - noise**2, 0.0)))
