@@ -15,7 +15,9 @@ from calibration_cases import Case
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.request import CalibrationRequest, CalibrationResult, Progress
 from suspension_twin.calibration.run import calibrate
+from suspension_twin.calibration.searches import costs_of, synchronised
 from suspension_twin.calibration.setup import set_up
+from suspension_twin.calibration.squares import moved
 from suspension_twin.inference.checkpoint import STATE
 from suspension_twin.inference.nuisance import NUISANCES
 from suspension_twin.inference.space import curve_keys
@@ -44,14 +46,17 @@ def judged_by(request: CalibrationRequest) -> Callable[[Floats], float]:
     """Eq. (1) of values (d,) aligned in time: their signals interpolated, or the pose moved and they simulated
     again, whichever costs less."""
     setup = set_up(request, lambda note: None, lambda: False)
-    problem = setup.problem
+    problem, objective = setup.problem, setup.objective
     quiet = np.zeros(len(problem.nuisances))
 
     def cost(values: Floats) -> float:
         one = values[:, None]
-        signals, _ = problem.simulate(one)
-        offset = problem.synchronised(signals, quiet[:, None])[:, 0]
-        return min(float(p.costs(one, quiet, synchronise=True)[0]) for p in (problem, problem.moved(offset)))
+        signals, _ = problem.signals_of(one, np.zeros((0, 1)))
+        offset = synchronised(problem, objective, signals, quiet[:, None])[:, 0]
+        return min(
+            float(costs_of(p, objective, one, quiet, synchronise=True)[0])
+            for p in (problem, moved(problem, offset))
+        )
 
     return cost
 

@@ -15,6 +15,7 @@ from plain_car import PlainCar
 
 from suspension_twin.calibration.request import Progress
 from suspension_twin.calibration.run import calibrate
+from suspension_twin.calibration.searches import costs_of
 from suspension_twin.calibration.setup import set_up
 from suspension_twin.inference.space import twin_value
 from suspension_twin.inference.synthetic import SensorErrors
@@ -63,7 +64,7 @@ def peers(folder: Path, seconds: float, seed: int) -> dict[str, Any]:
     found["fast"] = _summed([[n, t, c] for n, c, t in trace], fast.evaluations, fast.seconds)
 
     def batch(values: np.ndarray) -> np.ndarray:
-        return problem.costs(values, quiet, synchronise=True)
+        return costs_of(problem, setup.objective, values, quiet, synchronise=True)
 
     found["scipy differential_evolution, this batch"] = _scipy(
         batch, problem.space.lower, problem.space.upper, seconds
@@ -135,7 +136,7 @@ def _pymoo(problem: Any, twin: Twin, seconds: float) -> dict[str, Any]:
     from pymoo.termination.max_time import TimeBasedTermination
 
     counted = Counted(seconds)
-    part, rows = problem.parts[0], problem.rows[0]
+    part, rows = problem.data.parts[0], problem.data.rows[0]
     car = PlainCar(twin, part.excitation)
     wanted = part.measured["vertical_acceleration"][rows]
 
