@@ -517,7 +517,9 @@ def test_no_message_makes_it_raise_or_hand_on_a_nan(messages: list[tuple[int, li
     for kind, n in messages:
         if kind == 0:
             state = lock.on_imu(n[0], n[1:4], n[4:7])
-            assert state is None or all(map(math.isfinite, (*state[:9], *state.covariance)))
+            if state is not None:
+                pose = (state.t, state.x, state.y, state.yaw)
+                assert all(map(math.isfinite, (*pose, *state.motion, *state.covariance)))
         elif kind == 1:
             lock.on_fix(n[0], n[1], n[2], n[3], 0, n[4], n[5])
         elif kind == 2:
