@@ -189,8 +189,8 @@ def armed(effect: Effect, twin: Twin) -> Twin:
     """The twin with an effect of a size that its model is made for."""
     given = {}
     for p in effect.parameters:
-        value = p.typical if p.typical != p.neutral else p.neutral + 0.25 * (p.high - p.neutral)
-        given[p.name] = p.choices[-1] if p.choices else min(max(value, p.low), p.high)
+        value = p.prior.typical if p.prior.typical != p.neutral else p.neutral + 0.25 * (p.upper - p.neutral)
+        given[p.name] = p.choices[-1] if p.choices else min(max(value, p.lower), p.upper)
     possible = effect.hook.possible
     if possible is not None and not possible(twin, given):
         given |= {p.name: p.choices[0] for p in effect.parameters if p.choices}

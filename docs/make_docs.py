@@ -322,14 +322,14 @@ def _common(e: Any) -> str:
     """What of an effect any vehicle has: no finding."""
     if e.usual_share:
         return f" Up to {100 * e.usual_share:g} % of the mass is normal."
-    usual = next((p for p in e.parameters if p.usual), None)
-    return "" if usual is None else f" Up to {usual.usual:g} {usual.unit or 'of change'} is normal."
+    usual = next((p for p in e.parameters if p.prior.usual), None)
+    return "" if usual is None else f" Up to {usual.prior.usual:g} {usual.unit or 'of change'} is normal."
 
 
 def _parameter(p: Any, severe: bool) -> list[str]:
-    prior = f"{p.typical:g} ×/÷ {p.spread:g}" if p.log else f"{p.typical:g} ± {p.spread:g}"
+    prior = f"{p.prior.typical:g} {'×/÷' if p.prior.log else '±'} {p.prior.spread:g}"
     name = f"**`{p.name}`**" if severe else f"`{p.name}`"
-    bounds = f"{p.low:g} to {p.high:g}"
+    bounds = f"{p.lower:g} to {p.upper:g}"
     return [name, p.unit or "–", bounds, f"{p.neutral:g}", "each value" if p.choices else prior, p.doc]
 
 
@@ -419,8 +419,13 @@ def _typical(p: Any, severe: bool) -> float:
     """A typical value of an effect's parameter: one standard deviation of its prior where the mean is neutral."""
     if p.choices:
         return float(p.choices[0])
-    value = p.typical + p.spread if severe and not p.log and p.typical == p.neutral else p.typical
-    return float(min(max(value, p.low), p.high))
+    prior = p.prior
+    value = (
+        prior.typical + prior.spread
+        if severe and not prior.log and prior.typical == p.neutral
+        else prior.typical
+    )
+    return float(min(max(value, p.lower), p.upper))
 
 
 def damping_picture() -> None:

@@ -55,8 +55,7 @@ def _deviance(twin: Twin, drives: Sequence[Observation]) -> float:
 
 
 def _value(p: Parameter, u: float) -> float:
-    plain = p.typical * p.spread**u if p.log else p.typical + p.spread * u
-    return float(min(max(plain, p.low), p.high))
+    return float(p.value(np.array(u)))
 
 
 def _fitted(effect: Effect, twin: Twin, drives: Sequence[Observation]) -> tuple[float, int]:

@@ -67,7 +67,7 @@ def _twin(rng: np.random.Generator) -> tuple[Any, list[str]]:
         values = {}
         for p in e.parameters:
             kind = rng.random()
-            low, high = p.low, p.high
+            low, high = p.bounds
             value = low if kind < 0.2 else high if kind < 0.4 else float(rng.uniform(low, high))
             values[p.name] = float(rng.choice(p.choices)) if p.choices else value
         specs.append(EffectSpec(id=e.id, parameters=values))

@@ -168,7 +168,7 @@ def _estimates(setup: Setup, values: Floats, found: Uncertainty | None) -> tuple
     return tuple(
         Estimate(
             key=key,
-            start=float(space.parameters[i].nominal),
+            start=float(space.parameters[i].prior.typical),
             value=float(values[i]),
             low=float(low[i]),
             high=float(high[i]),

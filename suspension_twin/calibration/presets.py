@@ -15,8 +15,8 @@ from suspension_twin.effects.registry import effect
 from suspension_twin.errors import InputError, nearest
 from suspension_twin.inference.gauss_newton import GaussNewtonSettings
 from suspension_twin.inference.priors import prior_of
-from suspension_twin.inference.space import CURVES, Parameter, Space, bounds_of, curve_keys, twin_value
-from suspension_twin.models.parameters import layout
+from suspension_twin.inference.space import CURVES, Space, bounds_of, curve_keys, twin_value
+from suspension_twin.models.parameters import Parameter, Prior, layout
 from suspension_twin.models.registry import model_of
 from suspension_twin.vehicle.tracked import BOUNDS
 from suspension_twin.vehicle.twin import EffectSpec, Twin
@@ -189,7 +189,7 @@ def _usual(twin: Twin, preset: Preset) -> list[str]:
     if twin.bounds:
         return list(twin.bounds)
     usual = [(key, prior_of(key)) for key in there]
-    return [key for key, prior in usual if prior is not None and prior.usual and twin_value(twin, key) != 0]
+    return [key for key, prior in usual if prior is not None and prior.free and twin_value(twin, key) != 0]
 
 
 def _expanded(twin: Twin, keys: Sequence[str]) -> list[str]:
@@ -224,31 +224,18 @@ def _parameter(twin: Twin, key: str, preset: Preset, bounds: Mapping[str, tuple[
         if given is None and preset.table_2:
             given = _of_table_2(curve)[1][int(index)]
         low, high = given or (nominal / preset.reach, max(nominal * preset.reach, 1.0))
-        return Parameter(key, nominal, low, high, log=True, spread=_POINT_SPREAD)
+        return Parameter(key, (low, high), Prior(nominal, _POINT_SPREAD, "log"))
     if key.startswith("effects."):
-        return _effect_parameter(key, nominal, given, twin.model)
+        _, name, parameter = key.split(".")
+        return effect(name, twin.model).parameter(parameter).about(key, nominal, given)
     prior = prior_of(key)
     if prior is None:
         if given is None:
             raise InputError("free parameters", key, "needs bounds: nothing is known of how far it may go")
-        log, spread = given[0] > 0 and nominal > 0, 0.25 * (given[1] - given[0])
-        return Parameter(key, nominal, *given, log=log, spread=0.3 if log else spread)
-    low, high = given or prior.around(nominal)
-    return Parameter(key, nominal, low, high, log=prior.log, spread=prior.spread)
-
-
-def _effect_parameter(key: str, nominal: float, given: tuple[float, float] | None, model: str) -> Parameter:
-    """As the effect describes it; one that has to be above zero starts from what is typical."""
-    _, name, parameter = key.split(".")
-    known = effect(name, model).parameter(parameter)
-    low, high = given or (known.low, known.high)
-    if known.log and low > 0:
-        start = nominal if nominal > 0 else known.typical
-        return Parameter(
-            key, min(max(start, low), high), low, high, log=True, spread=float(np.log(known.spread))
-        )
-    start = min(max(nominal, low), high)
-    return Parameter(key, start, low, high, log=False, spread=known.spread)
+        if given[0] > 0 and nominal > 0:
+            return Parameter(key, given, Prior(nominal, 0.3, "log"))
+        return Parameter(key, given, Prior(nominal, 0.25 * (given[1] - given[0])))
+    return prior.about(key, nominal, given)
 
 
 def with_effects(twin: Twin, keys: Sequence[str]) -> Twin:

@@ -110,7 +110,7 @@ def joint_grid(together: Hypothesis, turn: Turn) -> Floats:
         points[i] = np.linspace(low[i], high[i], _TIMES)
     if "effects.sensor_tilt.roll" in keys:
         rows = [keys.index(f"effects.sensor_tilt.{a}") for a in ("roll", "pitch", "yaw")]
-        spreads = np.array([together.searched[i][1].spread for i in rows])
+        spreads = np.array([together.searched[i][1].prior.spread for i in rows])
         points[rows] = (np.array(turn) / spreads)[:, None]
     return np.asarray(np.clip(points, low[:, None], high[:, None]))
 
@@ -120,7 +120,9 @@ def _severity_grid(hypothesis: Hypothesis, turn: Turn) -> Floats | None:
     effect = hypothesis.effect(hypothesis.effects[-1])
     if effect.where not in SETUP_CATEGORIES or hypothesis.scan(1) is not None:
         return None
-    severe = [i for i, (_, p) in enumerate(hypothesis.searched) if p.name in effect.severity and not p.log]
+    severe = [
+        i for i, (_, p) in enumerate(hypothesis.searched) if p.name in effect.severity and not p.prior.log
+    ]
     if not severe:
         return None
     low, high = hypothesis.bounds()
@@ -136,5 +138,5 @@ def _measured_turn(hypothesis: Hypothesis, turn: Turn) -> Floats | None:
     """(k, 1) mounting error of the sensor measured by gravity and path; None where it is within ``REACH``."""
     if hypothesis.effects[-1] != "sensor_tilt":
         return None
-    at = np.array(turn) / [p.spread for _, p in hypothesis.searched]
+    at = np.array(turn) / [p.prior.spread for _, p in hypothesis.searched]
     return at[:, None] if (np.abs(at) > REACH).any() else None

@@ -210,7 +210,7 @@ class _Rows:
         for key, i in zip(*hypothesis.on_drive(0), strict=True):
             _, effect, name = key.split(".")
             parameter = hypothesis.searched[i][1]
-            two_sided = not parameter.log and parameter.neutral not in (parameter.low, parameter.high)
+            two_sided = not parameter.prior.log and parameter.neutral not in parameter.bounds
             setup = hypothesis.effect(effect).where in SETUP_CATEGORIES
             parameters[effect][name] = {
                 "value": float(values[i]),
@@ -259,7 +259,7 @@ def usual_ratio(
     ratios = []
     for effect in (hypothesis.effect(e) for e in hypothesis.effects):
         weight = effect.usual_share * problem.twin.vehicle.mass if effect.usual_share else 0.0
-        usual = {name: effect.parameter(name).usual or weight for name in effect.severity}
+        usual = {name: effect.parameter(name).prior.usual or weight for name in effect.severity}
         if effect.id == "clock_drift":
             usual = {name: max(least, _apparent_drift(problem)) for name, least in usual.items()}
         if (referenced and effect.where != "time") or not all(usual.values()):

@@ -100,7 +100,7 @@ class Ray:
     @property
     def typical(self) -> int:
         """Which point is of typical size."""
-        wanted = int(np.argmax(_LOG_SIZES == 0.0)) if self.parameter.log else _SIZES.index(1.0)
+        wanted = int(np.argmax(_LOG_SIZES == 0.0)) if self.parameter.prior.log else _SIZES.index(1.0)
         return min(wanted, self.sizes.size - 1)
 
     def rank(self, size: float) -> float:
@@ -117,7 +117,7 @@ class Ray:
             return None
         at = int(reached[0])
         if at == 0:  # a change is in proportion while it is small
-            return float(sizes[0] if self.parameter.log else sizes[0] * threshold / ratios[0])
+            return float(sizes[0] if self.parameter.prior.log else sizes[0] * threshold / ratios[0])
         low, high = np.log(np.maximum(ratios[at - 1 : at + 1], 1e-12))
         share = (np.log(threshold) - low) / max(high - low, 1e-12)
         return float(sizes[at - 1] * (sizes[at] / sizes[at - 1]) ** share)
@@ -235,7 +235,7 @@ class Plan:
 def _usual_size(twin: Twin, effect: str, parameter: Parameter) -> float:
     """Size of a parameter that sound vehicles have."""
     share = EFFECTS[effect].usual_share if parameter.unit == "kg" else 0.0
-    return max(parameter.usual, share * getattr(twin.vehicle, "mass", 0.0))
+    return max(parameter.prior.usual, share * getattr(twin.vehicle, "mass", 0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,14 +287,14 @@ def rays(hypothesis: Hypothesis, weak: float = 1.0) -> list[Ray]:
     low, high = hypothesis.bounds()
     severe = hypothesis.effect(hypothesis.effects[0]).severity
     nothing = hypothesis.neutral()
-    logarithmic = np.array([p.log and p.name in severe for _, p in hypothesis.searched])
+    logarithmic = np.array([p.prior.log and p.name in severe for _, p in hypothesis.searched])
     nothing[logarithmic] = (high if weak > 0 else low)[logarithmic]
     found = []
     for i, (_, p) in enumerate(hypothesis.searched):
         if p.name not in severe:
             continue
-        for sign in (-1,) if p.log and weak > 0 else (1,) if p.log else (1, -1):
-            if p.log:
+        for sign in (-1,) if p.prior.log and weak > 0 else (1,) if p.prior.log else (1, -1):
+            if p.prior.log:
                 at = sign * _LOG_SIZES
             else:
                 at = nothing[i] + sign * max(1.0, abs(nothing[i])) * np.array(_SIZES)
@@ -306,7 +306,9 @@ def rays(hypothesis: Hypothesis, weak: float = 1.0) -> list[Ray]:
             points[i] = at
             name = f"{_name(hypothesis)} {p.name} {'+' if sign > 0 else '-'}"
             sizes = hypothesis.values(points)[i]
-            found.append(Ray(name, hypothesis, p, points, sizes if p.log else np.abs(sizes - p.neutral)))
+            found.append(
+                Ray(name, hypothesis, p, points, sizes if p.prior.log else np.abs(sizes - p.neutral))
+            )
     return found
 
 
@@ -321,7 +323,7 @@ def _rivals(hypothesis: Hypothesis, own: Sequence[Ray]) -> tuple[list[Rival], li
     names, scale = list[str](), list[float]()
     for ray in own:
         names += ray.names
-        scale += [1.0 if ray.parameter.log else 1.0 / _SIZES[i] for i in range(ray.sizes.size)]
+        scale += [1.0 if ray.parameter.prior.log else 1.0 / _SIZES[i] for i in range(ray.sizes.size)]
     changes = []
     if shapes:
         points = _moved(hypothesis, own[0].points[:, own[0].typical], shapes)[:, 1:]
@@ -402,7 +404,7 @@ def _vanishing(twin: Twin, drive: Observation, offered: Sequence[Hypothesis]) ->
     ends = []
     for hypothesis in offered:
         severe = hypothesis.effect(hypothesis.effects[0]).severity
-        log = [p.log and p.name in severe for _, p in hypothesis.searched]
+        log = [p.prior.log and p.name in severe for _, p in hypothesis.searched]
         points = np.repeat(hypothesis.neutral()[:, None], 2, axis=1)
         points[log] = np.array([2.0, -2.0])
         ends.append(Change(hypothesis, points, (f"{_name(hypothesis)} high", f"{_name(hypothesis)} low")))
@@ -490,7 +492,7 @@ def _detectability(twin: Twin, found: Products, rays: Sequence[Ray]) -> list[Det
         first += ray.sizes.size
         size, largest = ray.size_from(own.max(axis=0), DETECTABLE), float(ray.sizes[-1])
         usual = _usual_size(twin, ray.effect, ray.parameter)
-        if size is not None and not ray.parameter.log:  # sizes of sound vehicles are no finding
+        if size is not None and not ray.parameter.prior.log:  # sizes of sound vehicles are no finding
             size = max(size, usual) if usual < largest else None
         best = int(np.argmax(own[:, -1]))
         out.append(

@@ -307,7 +307,7 @@ def _simulated(
     rows = [i for i, key in enumerate(hypothesis.keys) if key.split(".")[1] == effect]
     names = {hypothesis.keys[i].split(".")[2]: i for i in rows}
     strength, phases = names[tone.strength], [i for name, i in names.items() if name.startswith(tone.phase)]
-    spread = hypothesis.searched[strength][1].spread
+    spread = hypothesis.searched[strength][1].prior.spread
     kept = hypothesis.neutral()
     kept[: base.x.size - problem.d - problem.q] = base.x[problem.shared :]
     points = np.repeat(kept[:, None], 2 * len(peaks), axis=1)

@@ -710,7 +710,7 @@ def road_error_matches(
         """The cost of an effect at its best on the section, and the match."""
         (low,), (high,) = hypothesis.bounds()
         parameter = hypothesis.searched[0][1]
-        signed = not parameter.log and parameter.low < parameter.neutral < parameter.high
+        signed = not parameter.prior.log and parameter.lower < parameter.neutral < parameter.upper
         points = np.linspace(low, high, _COARSE if signed else _COARSE_UNSIGNED)
         best, step = points[int(np.argmin(remaining(hypothesis, points)[0]))], points[1] - points[0]
         points = np.clip(np.linspace(best - step, best + step, _FINE), low, high)

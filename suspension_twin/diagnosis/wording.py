@@ -123,7 +123,7 @@ def parameter_value(effect: str, name: str, value: float) -> str:
     known = _parameter(effect, name)
     if known is None:
         return f"{value:.3g}".replace("-", "\N{MINUS SIGN}")
-    if not known.log and abs(value - known.neutral) < 1e-3 * _scale(known):
+    if not known.prior.log and abs(value - known.neutral) < 1e-3 * _scale(known):
         value = known.neutral  # rounding errors of a fit are no finding
     if known.choices:
         names: dict[int, str] = {int(k): v.strip() for k, v in re.findall(r"\b(\d+) ([^,]+)", known.doc)}
@@ -165,14 +165,14 @@ def _nothing(effect: str, parameters: Mapping[str, float]) -> bool:
     """Whether an effect is a hundredth of its usual size, or less."""
     severities = [_parameter(effect, name) for name in EFFECTS[effect].severity if name in parameters]
     return bool(severities) and all(
-        p is not None and not p.log and abs(parameters[p.name] - p.neutral) <= 0.01 * _scale(p)
+        p is not None and not p.prior.log and abs(parameters[p.name] - p.neutral) <= 0.01 * _scale(p)
         for p in severities
     )
 
 
 def _scale(parameter: Parameter) -> float:
     """Usual size of a parameter: the larger of the spread of its prior and its typical distance from neutral."""
-    return max(parameter.spread, abs(parameter.typical - parameter.neutral))
+    return max(parameter.prior.spread, abs(parameter.prior.typical - parameter.neutral))
 
 
 def channel_of(document: Document, cause: Document | None = None) -> str:

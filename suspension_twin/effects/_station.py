@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from suspension_twin.effects.base import Floats, Parameter
+from suspension_twin.effects.base import Floats, Parameter, Prior
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["STATION", "add", "exists"]
@@ -15,7 +15,13 @@ __all__ = ["STATION", "add", "exists"]
 _MOST = 12
 
 STATION = Parameter(
-    "station", "", 1, _MOST, 1, 1, 3, "which road wheel, 1 in front", choices=tuple(range(1, _MOST + 1))
+    "station",
+    (1, _MOST),
+    Prior(1, 3),
+    "",
+    "which road wheel, 1 in front",
+    neutral=1,
+    choices=tuple(range(1, _MOST + 1)),
 )
 
 

@@ -17,6 +17,7 @@ from suspension_twin.effects.base import (
     Hook,
     KernelTerms,
     Parameter,
+    Prior,
     Values,
     Variant,
     axles,
@@ -46,8 +47,8 @@ def odd_corner(
     """One corner whose ``part`` has another force; ``other`` is the part that is easily confused with it, ``usual``
     what new parts of one kind differ by."""
     parameters = (
-        Parameter("corner", "", 0.0, 3.0, 0.0, 0.0, 3.0, _CORNERS, choices=(0.0, 1.0, 2.0, 3.0)),
-        Parameter("change", "", -0.98, 2.0, 0.0, 0.0, 0.4, "of its force, as a share", usual=usual),
+        Parameter("corner", (0.0, 3.0), Prior(0.0, 3.0), "", _CORNERS, choices=(0.0, 1.0, 2.0, 3.0)),
+        Parameter("change", (-0.98, 2.0), Prior(0.0, 0.4, usual=usual), "", "of its force, as a share"),
     )
 
     def corners(change: CornerChange, p: Values) -> None:
@@ -95,13 +96,13 @@ def stop(
 ) -> Effect:
     """A progressive stop at one ``end`` of the travel, at most ``farthest`` m away; ``moves`` is what the strut does
     then, ``valve`` the damper's that is confused with it."""
-    gap = ("m", 0.002, farthest, 0.06, 0.05, 2.0)
+    gap = ((0.002, farthest), Prior(0.05, 2.0, "factor"), "m")
     parameters = (
-        Parameter("front_clearance", *gap, f"{end} at the wheel until it touches, front", log=True),
-        Parameter("rear_clearance", *gap, "the same at the rear", log=True),
+        Parameter("front_clearance", *gap, f"{end} at the wheel until it touches, front", neutral=0.06),
+        Parameter("rear_clearance", *gap, "the same at the rear", neutral=0.06),
         # softer is what bushings and kinematics add to any spring as it is compressed, not a stop
         Parameter(
-            "stiffness", "N/m", 0.0, 1.0e6, 0.0, 0.0, 8.0e4, "at first touch, at the wheel", usual=8.0e3
+            "stiffness", (0.0, 1.0e6), Prior(0.0, 8.0e4, usual=8.0e3), "N/m", "at first touch, at the wheel"
         ),
     )
     law = {"jounce": _jounce, "rebound": _rebound}[end]

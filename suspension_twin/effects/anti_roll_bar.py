@@ -15,11 +15,12 @@ from suspension_twin.effects.base import (
     Hook,
     KernelTerms,
     Parameter,
+    Prior,
     axles,
     inlined,
 )
 
-_stiffness = ("N/m", 0.0, 1.0e5, 0.0, 0.0, 1.5e4)
+_stiffness = ((0.0, 1.0e5), Prior(0.0, 1.5e4), "N/m")
 
 _PARAMETERS = (
     Parameter("front_stiffness", *_stiffness, "force at each front wheel per difference of compression"),

@@ -31,6 +31,7 @@ from suspension_twin.models.hooks import (
     SignalStage,
     Values,
 )
+from suspension_twin.models.parameters import Parameter, Prior
 from suspension_twin.models.rows import AXLE, CORNER, LANE, WIDTH, Fields, fma
 from suspension_twin.units import plain
 from suspension_twin.vehicle.corners import AXLES, WHEELS
@@ -52,6 +53,7 @@ __all__ = [
     "KernelTerms",
     "MarkerExcitation",
     "Parameter",
+    "Prior",
     "RoadChange",
     "SignalStage",
     "Values",
@@ -77,42 +79,6 @@ Bools = NDArray[np.bool_]
 Given = Mapping[str, float]
 
 Where = Literal["strut", "tyre", "track", "body", "sensor", "time", "road"]
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """One number of an effect.
-
-    ``low`` and ``high`` are physical bounds in ``unit``. ``neutral`` is what it is where the twin
-    file says nothing. The prior is normal about ``typical`` with ``spread``, in the logarithm
-    where ``log`` (then ``spread`` is a factor). ``choices`` lists the values of a discrete one. ``usual`` is how far
-    from neutral it lies in sound vehicles, sensors and clocks. ``each_drive``: it differs from drive to drive, as the
-    phase of a tone does; a twin file has that of one.
-    """
-
-    name: str
-    unit: str
-    low: float
-    high: float
-    neutral: float
-    typical: float
-    spread: float
-    doc: str
-    log: bool = False
-    choices: tuple[float, ...] = ()
-    usual: float = 0.0
-    each_drive: bool = False
-
-    def check(self, effect: str, value: float) -> float:
-        """``value`` as it is, or InputError that names the effect and the parameter."""
-        if self.choices:
-            good, must = value in self.choices, f"one of {', '.join(f'{c:g}' for c in self.choices)}"
-        else:
-            good = value == self.neutral or self.low <= value <= self.high
-            must = f"between {self.low:g} and {self.high:g} {self.unit}".rstrip()
-        if not good:
-            raise InputError("twin", f"effects.{effect}.{self.name}", f"must be {must}, is {value:g}")
-        return value
 
 
 @dataclass(frozen=True)

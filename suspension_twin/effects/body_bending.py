@@ -17,6 +17,7 @@ from suspension_twin.effects.base import (
     Hook,
     KernelTerms,
     Parameter,
+    Prior,
     Values,
     fma,
     inlined,
@@ -26,9 +27,11 @@ from suspension_twin.effects.base import (
 from suspension_twin.models.full_car import BAD_ACCELERATION
 
 _PARAMETERS = (
-    Parameter("gain", "", -3.0, 3.0, 0.0, 0.0, 0.5, "share of the body's acceleration that drives the mode"),
-    Parameter("frequency", "Hz", 5.0, 45.0, 22.0, 22.0, 1.4, "of the mode", log=True),
-    Parameter("damping_ratio", "", 0.005, 0.3, 0.03, 0.03, 2.0, "of the mode", log=True),
+    Parameter(
+        "gain", (-3.0, 3.0), Prior(0.0, 0.5), "", "share of the body's acceleration that drives the mode"
+    ),
+    Parameter("frequency", (5.0, 45.0), Prior(22.0, 1.4, "factor"), "Hz", "of the mode", neutral=22.0),
+    Parameter("damping_ratio", (0.005, 0.3), Prior(0.03, 2.0, "factor"), "", "of the mode", neutral=0.03),
 )
 
 

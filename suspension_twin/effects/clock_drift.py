@@ -3,11 +3,15 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects.base import ClockChange, Effect, Given, Hook, Parameter, Values, plain
+from suspension_twin.effects.base import ClockChange, Effect, Given, Hook, Parameter, Prior, Values, plain
 
 _PARAMETERS = (
     Parameter(
-        "drift_ppm", "ppm", -50000.0, 50000.0, 0.0, 0.0, 300.0, "rate of the IMU clock less one", usual=50.0
+        "drift_ppm",
+        (-50000.0, 50000.0),
+        Prior(0.0, 300.0, usual=50.0),
+        "ppm",
+        "rate of the IMU clock less one",
     ),
 )
 

@@ -14,14 +14,17 @@ from suspension_twin.effects.base import (
     Hook,
     KernelTerms,
     Parameter,
+    Prior,
     inlined,
     plain,
     rows,
 )
 
 _PARAMETERS = (
-    Parameter("loss", "", 0.0, 0.95, 0.0, 0.0, 0.3, "share of the damping that is lost at last"),
-    Parameter("time_constant", "s", 2.0, 5000.0, 60.0, 60.0, 3.0, "of the way there", log=True),
+    Parameter("loss", (0.0, 0.95), Prior(0.0, 0.3), "", "share of the damping that is lost at last"),
+    Parameter(
+        "time_constant", (2.0, 5000.0), Prior(60.0, 3.0, "factor"), "s", "of the way there", neutral=60.0
+    ),
 )
 
 

@@ -13,6 +13,7 @@ from suspension_twin.effects.base import (
     Hook,
     KernelTerms,
     Parameter,
+    Prior,
     Variant,
     axles,
     by_corner,
@@ -24,8 +25,8 @@ from suspension_twin.effects.base import (
 )
 
 _PARAMETERS = (
-    Parameter("front", "m", 0.0, 0.05, 0.0, 0.0, 0.004, "play at the wheel, front"),
-    Parameter("rear", "m", 0.0, 0.05, 0.0, 0.0, 0.004, "the same at the rear"),
+    Parameter("front", (0.0, 0.05), Prior(0.0, 0.004), "m", "play at the wheel, front"),
+    Parameter("rear", (0.0, 0.05), Prior(0.0, 0.004), "m", "the same at the rear"),
 )
 
 

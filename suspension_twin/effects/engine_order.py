@@ -19,6 +19,7 @@ from suspension_twin.effects.base import (
     Hook,
     KernelTerms,
     Parameter,
+    Prior,
     Values,
     fma,
     inlined,
@@ -29,23 +30,19 @@ from suspension_twin.effects.base import (
 _PARAMETERS = (
     Parameter(
         "force",
+        (0.0, 6000.0),
+        Prior(0.0, 300.0, usual=5.0),
         "N",
-        0.0,
-        6000.0,
-        0.0,
-        0.0,
-        300.0,
         "amplitude, in the vertical above the front axle",
-        usual=5.0,
     ),
     Parameter(
-        "frequency", "Hz", 0.0, 50.0, 0.0, 10.0, 8.0, "at standstill, and at any speed of a fixed tone"
+        "frequency", (0.0, 50.0), Prior(10.0, 8.0), "Hz", "at standstill, and at any speed of a fixed tone"
     ),
     Parameter(
-        "per_metre", "1/m", 0.0, 4.0, 0.0, 0.5, 0.5, "by which the frequency rises with the speed in m/s"
+        "per_metre", (0.0, 4.0), Prior(0.5, 0.5), "1/m", "by which the frequency rises with the speed in m/s"
     ),
-    Parameter("floor", "Hz", 0.0, 50.0, 0.0, 0.0, 8.0, "least frequency: the engine idles"),
-    Parameter("phase", "rad", -7.0, 7.0, 0.0, 0.0, math.pi, "at the drive's start", each_drive=True),
+    Parameter("floor", (0.0, 50.0), Prior(0.0, 8.0), "Hz", "least frequency: the engine idles"),
+    Parameter("phase", (-7.0, 7.0), Prior(0.0, math.pi), "rad", "at the drive's start", each_drive=True),
 )
 
 

@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects.base import Effect, Given, Hook, Parameter, RoadChange, Values, more
+from suspension_twin.effects.base import Effect, Given, Hook, Parameter, Prior, RoadChange, Values, more
 
 _PARAMETERS = (
-    Parameter("offset", "m", -4.0, 4.0, 0.0, 0.0, 0.3, "across the reference line, to the left", usual=0.03),
+    Parameter(
+        "offset", (-4.0, 4.0), Prior(0.0, 0.3, usual=0.03), "m", "across the reference line, to the left"
+    ),
 )
 
 

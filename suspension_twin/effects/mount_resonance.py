@@ -13,15 +13,16 @@ from suspension_twin.effects.base import (
     Given,
     Hook,
     Parameter,
+    Prior,
     SignalStage,
     compiled,
     plain,
 )
 
 _PARAMETERS = (
-    Parameter("gain", "", 0.0, 1.5, 0.0, 1.0, 0.2, "share of the holder's motion in what is read"),
-    Parameter("frequency", "Hz", 4.0, 60.0, 18.0, 18.0, 1.6, "of the holder", log=True),
-    Parameter("damping_ratio", "", 0.005, 0.7, 0.05, 0.05, 2.0, "of the holder", log=True),
+    Parameter("gain", (0.0, 1.5), Prior(1.0, 0.2), "", "share of the holder's motion in what is read"),
+    Parameter("frequency", (4.0, 60.0), Prior(18.0, 1.6, "factor"), "Hz", "of the holder", neutral=18.0),
+    Parameter("damping_ratio", (0.005, 0.7), Prior(0.05, 2.0, "factor"), "", "of the holder", neutral=0.05),
 )
 
 

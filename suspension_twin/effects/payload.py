@@ -5,15 +5,26 @@ from __future__ import annotations
 
 import numpy as np
 
-from suspension_twin.effects.base import Effect, Floats, Given, Hook, Parameter, Values, Variant, more, plain
+from suspension_twin.effects.base import (
+    Effect,
+    Floats,
+    Given,
+    Hook,
+    Parameter,
+    Prior,
+    Values,
+    Variant,
+    more,
+    plain,
+)
 
 #: Height of seats and luggage above the ground, m.
 HEIGHT = 0.75
 
 _PARAMETERS = (
-    Parameter("mass", "kg", 0.0, 1500.0, 0.0, 0.0, 150.0, "of the load"),
-    Parameter("x", "m", -1.5, 5.0, 0.5, 0.5, 0.8, "of its centre, ahead of the rear axle"),
-    Parameter("y", "m", -1.0, 1.0, 0.0, 0.0, 0.3, "of its centre, to the left"),
+    Parameter("mass", (0.0, 1500.0), Prior(0.0, 150.0), "kg", "of the load"),
+    Parameter("x", (-1.5, 5.0), Prior(0.5, 0.8), "m", "of its centre, ahead of the rear axle", neutral=0.5),
+    Parameter("y", (-1.0, 1.0), Prior(0.0, 0.3), "m", "of its centre, to the left"),
 )
 
 
@@ -34,8 +45,15 @@ def _vehicle(numbers: dict[str, Floats], p: Values) -> None:
 
 #: A load of tonnes on a tracked vehicle of tens; its plane of symmetry knows no left and right.
 _TRACKED = (
-    Parameter("mass", "kg", -8000.0, 12000.0, 0.0, 0.0, 2500.0, "of the load"),
-    Parameter("x", "m", -1.0, 6.0, 2.2, 2.2, 1.0, "of its centre, ahead of the rearmost road wheels"),
+    Parameter("mass", (-8000.0, 12000.0), Prior(0.0, 2500.0), "kg", "of the load"),
+    Parameter(
+        "x",
+        (-1.0, 6.0),
+        Prior(2.2, 1.0),
+        "m",
+        "of its centre, ahead of the rearmost road wheels",
+        neutral=2.2,
+    ),
 )
 
 
@@ -58,7 +76,7 @@ def _hull(numbers: dict[str, Floats], p: Values) -> None:
 
 
 #: A quarter of a car's.
-_CORNER = (Parameter("mass", "kg", 0.0, 375.0, 0.0, 0.0, 37.5, "of the load on the corner"),)
+_CORNER = (Parameter("mass", (0.0, 375.0), Prior(0.0, 37.5), "kg", "of the load on the corner"),)
 
 
 def _corner(numbers: dict[str, Floats], p: Values) -> None:

@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects.base import Effect, Given, Hook, Parameter, RoadChange, Values, plain
+from suspension_twin.effects.base import Effect, Given, Hook, Parameter, Prior, RoadChange, Values, plain
 
-_PARAMETERS = (Parameter("offset", "m", -10.0, 10.0, 0.0, 0.0, 0.3, "along the reference line, forward"),)
+_PARAMETERS = (Parameter("offset", (-10.0, 10.0), Prior(0.0, 0.3), "m", "along the reference line, forward"),)
 
 
 def _road(change: RoadChange, p: Values) -> None:

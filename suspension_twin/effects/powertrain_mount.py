@@ -17,6 +17,7 @@ from suspension_twin.effects.base import (
     Hook,
     KernelTerms,
     Parameter,
+    Prior,
     Values,
     fma,
     inlined,
@@ -29,9 +30,23 @@ from suspension_twin.models.hooks import Check
 DAMPING_RATIO = 0.08
 
 _PARAMETERS = (
-    Parameter("mass", "kg", 0.0, 600.0, 0.0, 180.0, 80.0, "of the powertrain"),
-    Parameter("frequency", "Hz", 3.0, 30.0, 10.0, 10.0, 1.4, "on its mounts, the body held still", log=True),
-    Parameter("x", "m", -4.0, 4.0, 1.2, 1.2, 0.4, "of its centre, ahead of the sprung centre of gravity"),
+    Parameter("mass", (0.0, 600.0), Prior(180.0, 80.0), "kg", "of the powertrain"),
+    Parameter(
+        "frequency",
+        (3.0, 30.0),
+        Prior(10.0, 1.4, "factor"),
+        "Hz",
+        "on its mounts, the body held still",
+        neutral=10.0,
+    ),
+    Parameter(
+        "x",
+        (-4.0, 4.0),
+        Prior(1.2, 0.4),
+        "m",
+        "of its centre, ahead of the sprung centre of gravity",
+        neutral=1.2,
+    ),
 )
 
 

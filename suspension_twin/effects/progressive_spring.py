@@ -13,6 +13,7 @@ from suspension_twin.effects.base import (
     Hook,
     KernelTerms,
     Parameter,
+    Prior,
     Variant,
     by_corner,
     fma,
@@ -22,12 +23,15 @@ from suspension_twin.effects.base import (
 
 #: Linkage, bushings and the first of a stop make any car's wheel rate grow on one way by up to 12 kN/m in 3 cm; on both
 #: ways, which takes two stops, by less than half of that.
-_rise, _square = ("N/m²", -2.0e6, 2.0e6, 0.0, 0.0, 1.5e5), ("N/m³", 0.0, 1.0e9, 0.0, 0.0, 1.5e7)
+_rise, _square = (
+    ((-2.0e6, 2.0e6), Prior(0.0, 1.5e5, usual=4.0e5), "N/m²"),
+    ((0.0, 1.0e9), Prior(0.0, 1.5e7, usual=6.0e6), "N/m³"),
+)
 _PARAMETERS = (
-    Parameter("front_rise", *_rise, "growth of the rate with jounce, front", usual=4.0e5),
-    Parameter("rear_rise", *_rise, "the same at the rear", usual=4.0e5),
-    Parameter("front_square", *_square, "growth with the square of travel, front", usual=6.0e6),
-    Parameter("rear_square", *_square, "the same at the rear", usual=6.0e6),
+    Parameter("front_rise", *_rise, "growth of the rate with jounce, front"),
+    Parameter("rear_rise", *_rise, "the same at the rear"),
+    Parameter("front_square", *_square, "growth with the square of travel, front"),
+    Parameter("rear_square", *_square, "the same at the rear"),
 )
 
 

@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects.base import Effect, Given, Hook, Parameter, RoadChange, Values, more
+from suspension_twin.effects.base import Effect, Given, Hook, Parameter, Prior, RoadChange, Values, more
 
-_PARAMETERS = (Parameter("scale", "", -0.8, 2.0, 0.0, 0.0, 0.15, "factor less one", usual=0.03),)
+_PARAMETERS = (Parameter("scale", (-0.8, 2.0), Prior(0.0, 0.15, usual=0.03), "", "factor less one"),)
 
 
 def _road(change: RoadChange, p: Values) -> None:

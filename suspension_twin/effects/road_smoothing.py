@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects.base import Effect, Given, Hook, Parameter, RoadChange, Values, plain
+from suspension_twin.effects.base import Effect, Given, Hook, Parameter, Prior, RoadChange, Values, plain
 
-_PARAMETERS = (Parameter("sigma", "m", 0.005, 2.0, 0.0, 0.1, 2.0, "of the Gaussian", log=True),)
+_PARAMETERS = (Parameter("sigma", (0.005, 2.0), Prior(0.1, 2.0, "factor"), "m", "of the Gaussian"),)
 
 
 def _road(change: RoadChange, p: Values) -> None:

@@ -18,6 +18,7 @@ from suspension_twin.effects.base import (
     Hook,
     KernelTerms,
     Parameter,
+    Prior,
     Values,
     Variant,
     axles,
@@ -34,21 +35,18 @@ HIGH_PASS = 0.1
 #: m/s: squared, the product of the two velocities at which half of the force acts.
 SWITCHING = 0.02
 
-_force = ("N s/m", 0.0, 12000.0, 0.0, 0.0, 1500.0)
+_force = ((0.0, 12000.0), Prior(0.0, 1500.0, usual=50.0), "N s/m")
 _PARAMETERS = (
     Parameter(
         "law",
+        (0.0, 1.0),
+        Prior(0.0, 1.0),
         "",
-        0.0,
-        1.0,
-        0.0,
-        0.0,
-        1.0,
         "0 sky-hook, on the body; 1 ground-hook, on the wheel",
         choices=(0.0, 1.0),
     ),
-    Parameter("front", *_force, "of each front damper", usual=50.0),
-    Parameter("rear", *_force, "of each rear damper", usual=50.0),
+    Parameter("front", *_force, "of each front damper"),
+    Parameter("rear", *_force, "of each rear damper"),
 )
 
 

@@ -15,13 +15,14 @@ from suspension_twin.effects.base import (
     Given,
     Hook,
     Parameter,
+    Prior,
     SignalStage,
     Values,
     compiled,
     plain,
 )
 
-_PARAMETERS = (Parameter("cutoff", "Hz", 0.5, 500.0, 0.0, 15.0, 2.0, "its -3 dB frequency", log=True),)
+_PARAMETERS = (Parameter("cutoff", (0.5, 500.0), Prior(15.0, 2.0, "factor"), "Hz", "its -3 dB frequency"),)
 
 
 @compiled

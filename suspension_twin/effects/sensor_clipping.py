@@ -10,12 +10,13 @@ from suspension_twin.effects.base import (
     Given,
     Hook,
     Parameter,
+    Prior,
     SignalStage,
     compiled,
     plain,
 )
 
-_PARAMETERS = (Parameter("range", "m/s²", 9.9, 400.0, 0.0, 15.0, 1.5, "largest reading", log=True),)
+_PARAMETERS = (Parameter("range", (9.9, 400.0), Prior(15.0, 1.5, "factor"), "m/s²", "largest reading"),)
 
 
 @compiled

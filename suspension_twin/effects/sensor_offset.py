@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects.base import Effect, Floats, Given, Hook, Parameter, Values, listed, more
+from suspension_twin.effects.base import Effect, Floats, Given, Hook, Parameter, Prior, Values, listed, more
 
 _PARAMETERS = (
-    Parameter("x", "m", -4.0, 4.0, 0.0, 0.0, 0.5, "forward", usual=0.03),
-    Parameter("y", "m", -1.5, 1.5, 0.0, 0.0, 0.3, "to the left", usual=0.03),
-    Parameter("z", "m", -2.0, 2.0, 0.0, 0.0, 0.3, "up", usual=0.03),
+    Parameter("x", (-4.0, 4.0), Prior(0.0, 0.5, usual=0.03), "m", "forward"),
+    Parameter("y", (-1.5, 1.5), Prior(0.0, 0.3, usual=0.03), "m", "to the left"),
+    Parameter("z", (-2.0, 2.0), Prior(0.0, 0.3, usual=0.03), "m", "up"),
 )
 
 

@@ -11,6 +11,7 @@ from suspension_twin.effects.base import (
     Hook,
     MarkerExcitation,
     Parameter,
+    Prior,
     SignalStage,
     Values,
     Variant,
@@ -18,7 +19,7 @@ from suspension_twin.effects.base import (
     more,
 )
 
-_PARAMETERS = (Parameter("scale", "", -0.6, 1.0, 0.0, 0.0, 0.05, "gain less one", usual=0.01),)
+_PARAMETERS = (Parameter("scale", (-0.6, 1.0), Prior(0.0, 0.05, usual=0.01), "", "gain less one"),)
 
 
 @compiled
@@ -38,7 +39,7 @@ def _reading(signals: Floats, run: MarkerExcitation, p: Values) -> None:
 
 
 #: Another length than that the scale of a camera was set by.
-_CAMERA = (Parameter("scale", "", -0.5, 1.0, 0.0, 0.0, 0.08, "gain less one"),)
+_CAMERA = (Parameter("scale", (-0.5, 1.0), Prior(0.0, 0.08), "", "gain less one"),)
 
 
 def _finding(p: Given) -> str:

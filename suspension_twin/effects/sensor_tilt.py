@@ -15,6 +15,7 @@ from suspension_twin.effects.base import (
     Hook,
     MarkerExcitation,
     Parameter,
+    Prior,
     SignalStage,
     Values,
     Variant,
@@ -23,7 +24,7 @@ from suspension_twin.effects.base import (
     plain,
 )
 
-_angle = ("rad", -3.2, 3.2, 0.0, 0.0, 0.1)
+_angle = ((-3.2, 3.2), Prior(0.0, 0.1), "rad")
 
 _PARAMETERS = (
     Parameter("roll", *_angle, "about x, left side up"),
@@ -69,7 +70,7 @@ def _signal(signals: Floats, t: Floats, fresh: Bools, values: Floats, state: Flo
 
 
 #: A camera's horizon is levelled by eye.
-_CAMERA = (Parameter("pitch", "rad", -0.1, 0.1, 0.0, 0.0, 0.02, "about y, nose down"),)
+_CAMERA = (Parameter("pitch", (-0.1, 0.1), Prior(0.0, 0.02), "rad", "about y, nose down"),)
 
 
 def _reading(signals: Floats, run: MarkerExcitation, p: Values) -> None:

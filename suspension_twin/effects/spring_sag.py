@@ -10,6 +10,7 @@ from suspension_twin.effects.base import (
     Given,
     Hook,
     Parameter,
+    Prior,
     Values,
     Variant,
     axles,
@@ -17,13 +18,13 @@ from suspension_twin.effects.base import (
     of_one_corner,
 )
 
-_sag = ("m", 0.0, 0.12, 0.0, 0.0, 0.02)
+_sag = ((0.0, 0.12), Prior(0.0, 0.02, usual=0.005), "m")
 _PARAMETERS = (
-    Parameter("front", *_sag, "by which the front springs are shorter when free, at the wheel", usual=0.005),
-    Parameter("rear", *_sag, "the same at the rear", usual=0.005),
+    Parameter("front", *_sag, "by which the front springs are shorter when free, at the wheel"),
+    Parameter("rear", *_sag, "the same at the rear"),
     # a spring that has set keeps its rate; one without the last of its seven coils is a sixth stiffer and 40 mm shorter
     Parameter(
-        "rate", "1/m", -6.0, 6.0, 0.0, 0.0, 2.0, "share by which their rate is more, for each m of sag"
+        "rate", (-6.0, 6.0), Prior(0.0, 2.0), "1/m", "share by which their rate is more, for each m of sag"
     ),
 )
 

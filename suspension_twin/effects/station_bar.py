@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 from suspension_twin.effects._station import STATION, add, exists
-from suspension_twin.effects.base import Effect, Floats, Given, Hook, Parameter, Values, more
+from suspension_twin.effects.base import Effect, Floats, Given, Hook, Parameter, Prior, Values, more
 
 _PARAMETERS = (
     STATION,
-    Parameter("sag", "rad", -0.2, 0.3, 0.0, 0.0, 0.06, "how far its free angle has gone up"),
+    Parameter("sag", (-0.2, 0.3), Prior(0.0, 0.06), "rad", "how far its free angle has gone up"),
 )
 
 

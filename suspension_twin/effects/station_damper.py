@@ -8,10 +8,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from suspension_twin.effects._station import STATION, add, exists
-from suspension_twin.effects.base import Effect, Floats, Given, Hook, Parameter, Values, changed
+from suspension_twin.effects.base import Effect, Floats, Given, Hook, Parameter, Prior, Values, changed
 from suspension_twin.vehicle.twin import Twin
 
-_PARAMETERS = (STATION, Parameter("change", "", -1.0, 1.0, 0.0, 0.0, 0.5, "of its damping, as a share"))
+_PARAMETERS = (STATION, Parameter("change", (-1.0, 1.0), Prior(0.0, 0.5), "", "of its damping, as a share"))
 
 
 def _vehicle(numbers: dict[str, Floats], p: Values) -> None:

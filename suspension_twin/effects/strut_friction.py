@@ -13,6 +13,7 @@ from suspension_twin.effects.base import (
     Hook,
     KernelTerms,
     Parameter,
+    Prior,
     Variant,
     axles,
     by_corner,
@@ -26,11 +27,11 @@ from suspension_twin.effects.base import (
 #: Stiffness before it slips, N/m: the bushings that give way while the strut still sticks.
 STICKING = 3.0e5
 
-_force = ("N", 0.0, 1500.0, 0.0, 0.0, 200.0)
+_force = ((0.0, 1500.0), Prior(0.0, 200.0, usual=10.0), "N")
 
 _PARAMETERS = (
-    Parameter("front_force", *_force, "friction of each front strut", usual=10.0),
-    Parameter("rear_force", *_force, "friction of each rear strut", usual=10.0),
+    Parameter("front_force", *_force, "friction of each front strut"),
+    Parameter("rear_force", *_force, "friction of each rear strut"),
 )
 
 

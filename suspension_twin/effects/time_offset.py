@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects.base import ClockChange, Effect, Given, Hook, Parameter, Values, more
+from suspension_twin.effects.base import ClockChange, Effect, Given, Hook, Parameter, Prior, Values, more
 
-_PARAMETERS = (Parameter("offset", "s", -2.0, 2.0, 0.0, 0.0, 0.05, "IMU stamp less GPS time"),)
+_PARAMETERS = (Parameter("offset", (-2.0, 2.0), Prior(0.0, 0.05), "s", "IMU stamp less GPS time"),)
 
 
 def _clock(change: ClockChange, p: Values) -> None:

@@ -11,6 +11,7 @@ from suspension_twin.effects.base import (
     Given,
     Hook,
     Parameter,
+    Prior,
     Values,
     Variant,
     axles,
@@ -18,11 +19,11 @@ from suspension_twin.effects.base import (
     of_one_corner,
 )
 
-_stiffness = ("N/m", 2.0e4, 5.0e6, 0.0, 3.0e5, 2.5)
+_stiffness = ((2.0e4, 5.0e6), Prior(3.0e5, 2.5, "factor"), "N/m")
 
 _PARAMETERS = (
-    Parameter("front_stiffness", *_stiffness, "of each front mount, at the wheel", log=True),
-    Parameter("rear_stiffness", *_stiffness, "of each rear mount, at the wheel", log=True),
+    Parameter("front_stiffness", *_stiffness, "of each front mount, at the wheel"),
+    Parameter("rear_stiffness", *_stiffness, "of each rear mount, at the wheel"),
 )
 
 

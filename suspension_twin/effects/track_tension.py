@@ -5,10 +5,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from suspension_twin.effects.base import Effect, Floats, Given, Hook, Parameter, Values, more
+from suspension_twin.effects.base import Effect, Floats, Given, Hook, Parameter, Prior, Values, more
 from suspension_twin.vehicle.tracked import BOUNDS
 
-_PARAMETERS = (Parameter("tighter", "mm", -40.0, 40.0, 0.0, 0.0, 10.0, "displacement of the idler outwards"),)
+_PARAMETERS = (
+    Parameter("tighter", (-40.0, 40.0), Prior(0.0, 10.0), "mm", "displacement of the idler outwards"),
+)
 _KEY = "vehicle.idler.setting"
 
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from suspension_twin.effects.base import Effect, Floats, Given, Hook, Parameter, Values, plain
+from suspension_twin.effects.base import Effect, Floats, Given, Hook, Parameter, Prior, Values, plain
 from suspension_twin.vehicle.tracked import BOUNDS
 
 _PARAMETERS = (
-    Parameter("stiffness", "", 0.02, 2.0, 1.0, 1.0, 0.7, "remaining share of the links' stiffness"),
-    Parameter("elongation", "m", 0.0, 0.06, 0.0, 0.0, 0.01, "how much longer the whole track has become"),
+    Parameter(
+        "stiffness", (0.02, 2.0), Prior(1.0, 0.7), "", "remaining share of the links' stiffness", neutral=1.0
+    ),
+    Parameter("elongation", (0.0, 0.06), Prior(0.0, 0.01), "m", "how much longer the whole track has become"),
 )
 
 

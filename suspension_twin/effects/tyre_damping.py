@@ -13,13 +13,16 @@ from suspension_twin.effects.base import (
     Hook,
     KernelTerms,
     Parameter,
+    Prior,
     inlined,
     plain,
     rows,
 )
 
 _PARAMETERS = (
-    Parameter("damping", "N s/m", 0.0, 5000.0, 0.0, 0.0, 500.0, "of one tyre, in the vertical", usual=50.0),
+    Parameter(
+        "damping", (0.0, 5000.0), Prior(0.0, 500.0, usual=50.0), "N s/m", "of one tyre, in the vertical"
+    ),
 )
 
 

@@ -3,22 +3,17 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects.base import Effect, Given, Hook, Parameter, RoadChange, Values, plain
+from suspension_twin.effects.base import Effect, Given, Hook, Parameter, Prior, RoadChange, Values, plain
 
 #: m, of a car's tyre: a load of 4 kN over a pressure of 220 kPa and a width in contact of 0.16 m is 0.114 m (a prior).
 _USUAL = 0.12
 _PARAMETERS = (
     Parameter(
         "length",
+        (0.01, 2.0),
+        Prior(0.15, 1.8, "factor", usual=_USUAL),
         "m",
-        0.01,
-        2.0,
-        0.0,
-        0.15,
-        1.8,
         "of the contact patch, along the road",
-        log=True,
-        usual=_USUAL,
     ),
 )
 

@@ -12,6 +12,7 @@ from suspension_twin.effects.base import (
     Given,
     Hook,
     Parameter,
+    Prior,
     Values,
     Variant,
     more,
@@ -29,10 +30,15 @@ _NAMES = "0 front left, 1 front right, 2 rear left, 3 rear right, 4 front axle, 
 
 _PARAMETERS = (
     Parameter(
-        "corner", "", 0.0, 6.0, 0.0, 0.0, 6.0, _NAMES, choices=tuple(float(i) for i in range(len(_PLACES)))
+        "corner",
+        (0.0, 6.0),
+        Prior(0.0, 6.0),
+        "",
+        _NAMES,
+        choices=tuple(float(i) for i in range(len(_PLACES))),
     ),
     # 0.2 bar of 2.3
-    Parameter("change", "", -0.95, 1.0, 0.0, 0.0, 0.3, "of the pressure, as a share", usual=0.09),
+    Parameter("change", (-0.95, 1.0), Prior(0.0, 0.3, usual=0.09), "", "of the pressure, as a share"),
 )
 
 

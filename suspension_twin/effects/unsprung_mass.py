@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects.base import CornerChange, Effect, Given, Hook, Parameter, Values, plain
+from suspension_twin.effects.base import CornerChange, Effect, Given, Hook, Parameter, Prior, Values, plain
 
-_PARAMETERS = (Parameter("mass", "kg", 0.0, 300.0, 0.0, 40.0, 20.0, "of one wheel with hub and brake"),)
+_PARAMETERS = (Parameter("mass", (0.0, 300.0), Prior(40.0, 20.0), "kg", "of one wheel with hub and brake"),)
 
 
 def _corners(change: CornerChange, p: Values) -> None:

@@ -19,6 +19,7 @@ from suspension_twin.effects.base import (
     Hook,
     KernelTerms,
     Parameter,
+    Prior,
     Values,
     fma,
     inlined,
@@ -29,20 +30,24 @@ from suspension_twin.effects.base import (
 
 _CORNERS = "0 front left, 1 front right, 2 rear left, 3 rear right"
 _PARAMETERS = (
-    Parameter("corner", "", 0.0, 3.0, 0.0, 0.0, 3.0, _CORNERS, choices=(0.0, 1.0, 2.0, 3.0)),
+    Parameter("corner", (0.0, 3.0), Prior(0.0, 3.0), "", _CORNERS, choices=(0.0, 1.0, 2.0, 3.0)),
     # a new wheel is balanced to 5 g at the rim of 0.2 m
     Parameter(
-        "moment", "kg m", 0.0, 5.0, 0.0, 0.0, 0.2, "mass of the unbalance times its radius", usual=0.001
+        "moment", (0.0, 5.0), Prior(0.0, 0.2, usual=0.001), "kg m", "mass of the unbalance times its radius"
     ),
-    Parameter("rolling_radius", "m", 0.2, 0.6, 0.31, 0.31, 0.03, "travelled distance for each radian"),
+    Parameter(
+        "rolling_radius",
+        (0.2, 0.6),
+        Prior(0.31, 0.03),
+        "m",
+        "travelled distance for each radian",
+        neutral=0.31,
+    ),
     Parameter(
         "phase",
+        (-7.0, 7.0),
+        Prior(0.0, math.pi),
         "rad",
-        -7.0,
-        7.0,
-        0.0,
-        0.0,
-        math.pi,
         "of the unbalance from straight up at the drive's start",
         each_drive=True,
     ),

@@ -9,16 +9,17 @@ from suspension_twin.effects.base import (
     Given,
     Hook,
     Parameter,
+    Prior,
     Values,
     Variant,
     axles,
     of_one_corner,
 )
 
-_loss = ("", 0.0, 0.98, 0.0, 0.0, 0.3)
+_loss = ((0.0, 0.98), Prior(0.0, 0.3, usual=0.1), "")
 _PARAMETERS = (
-    Parameter("front", *_loss, "share of the front dampers' force that is lost", usual=0.1),
-    Parameter("rear", *_loss, "the same at the rear", usual=0.1),
+    Parameter("front", *_loss, "share of the front dampers' force that is lost"),
+    Parameter("rear", *_loss, "the same at the rear"),
 )
 
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hypotheses: effects with the search coordinates of their parameters, and starting points of a search.
 
-The coordinate of a parameter is u = (p - typical) / spread, or u = log(p / typical) / log(spread) for a logarithmic
-one, so that its prior is N(0, 1). A discrete parameter (``choices``) has no coordinate: each of its values is a
-hypothesis of its own, a variant, and the best variant represents the effect.
+The coordinate of a parameter is u = (p - typical) / s, or u = log(p / typical) / s for a logarithmic one, with the
+standard deviation s of its prior, which is then N(0, 1) in u. A discrete parameter (``choices``) has no coordinate:
+each of its values is a hypothesis of its own, a variant, and the best variant represents the effect.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ class Hypothesis:
     def bounds(self) -> tuple[Floats, Floats]:
         """(k,) lowest and highest coordinates."""
         low, high = (
-            np.array([[_coordinate(p, v) for v in (p.low, p.high)] for _, p in self.searched], dtype=float)
+            np.array([[p.coordinate(v) for v in p.bounds] for _, p in self.searched], dtype=float)
             .reshape(-1, 2)
             .T.copy()
         )
@@ -149,15 +149,14 @@ class Hypothesis:
         """(k, L) parameters for coordinates (k, L), inside their bounds."""
         out = np.empty_like(u, dtype=float)
         for i, (_, p) in enumerate(self.searched):
-            plain = p.typical * p.spread ** u[i] if p.log else p.typical + p.spread * u[i]
-            out[i] = np.clip(plain, p.low, p.high)
+            out[i] = p.value(u[i])
         return out
 
     def neutral(self) -> Floats:
         """(k,) coordinates of a severity of zero; others at their typical value."""
         searched = zip(self.searched, self._severe, strict=True)
         at: list[float] = [
-            _coordinate(p, p.neutral) if severe and not p.log else 0.0 for (_, p), severe in searched
+            p.coordinate(p.neutral) if severe and not p.prior.log else 0.0 for (_, p), severe in searched
         ]
         low, high = self.bounds()
         return np.asarray(np.clip(np.array(at), low, high))
@@ -167,25 +166,25 @@ class Hypothesis:
         low-pass at its highest cutoff, a contact patch at its shortest)."""
         low, high = self.bounds()
         ends = np.repeat(self.neutral()[:, None], 2, axis=1)
-        free = [severe and p.log for (_, p), severe in zip(self.searched, self._severe, strict=True)]
+        free = [severe and p.prior.log for (_, p), severe in zip(self.searched, self._severe, strict=True)]
         ends[free] = np.stack([low, high], axis=1)[free]
         return np.unique(ends, axis=1)
 
     @property
     def has_clearance(self) -> bool:
         """Whether an effect acts only beyond a clearance."""
-        return any(p.log and p.unit == "m" and "clearance" in p.name for _, p in self.searched)
+        return any(p.prior.log and p.unit == "m" and "clearance" in p.name for _, p in self.searched)
 
     def early_contact(self, travel: Mapping[str, float]) -> Floats:
         """(k,) an effect with a clearance that touches at a ``travel`` (m, by axle), and one standard deviation of
         severity."""
         at = self.neutral()
         for i, ((key, p), severe) in enumerate(zip(self.searched, self._severe, strict=True)):
-            if severe and not p.log:
+            if severe and not p.prior.log:
                 at[i] += 1.0
-            elif p.log and p.unit == "m" and travel:
+            elif p.prior.log and p.unit == "m" and travel:
                 axle = key.split(".")[2].partition("_")[0]
-                at[i] = _coordinate(p, travel.get(axle, max(travel.values())))
+                at[i] = p.coordinate(travel.get(axle, max(travel.values())))
         return np.clip(at, *self.bounds())
 
     def scan(self, count: int) -> tuple[int, Floats] | None:
@@ -226,12 +225,12 @@ class Hypothesis:
 
     def at(self, spec: EffectSpec) -> Floats:
         """(k,) coordinates of an effect as a twin file has it."""
-        return np.array([_coordinate(p, spec.parameters[p.name]) for _, p in self.searched])
+        return np.array([p.coordinate(spec.parameters[p.name]) for _, p in self.searched])
 
     def coordinate(self, row: int, value: float) -> float:
         """The coordinate of a value of the parameter of a row, inside its bounds."""
         p = self.searched[row][1]
-        return _coordinate(p, float(np.clip(value, p.low, p.high)))
+        return p.coordinate(float(np.clip(value, *p.bounds)))
 
     def starts(self, count: int, seed: int) -> Floats:
         """(k, count) Sobol points over the prior, severities on the side of their bound."""
@@ -242,14 +241,11 @@ class Hypothesis:
         normal = _WIDTH * ndtri(np.clip(cube, 1e-3, 1 - 1e-3))
         at = self.neutral()
         searched = zip(self.searched, self._severe, strict=True)
-        one_sided = [s and not p.log and low[i] >= at[i] - 1e-12 for i, ((_, p), s) in enumerate(searched)]
+        one_sided = [
+            s and not p.prior.log and low[i] >= at[i] - 1e-12 for i, ((_, p), s) in enumerate(searched)
+        ]
         normal[one_sided] = at[one_sided, None] + np.abs(normal[one_sided])
         return np.clip(normal, low[:, None], high[:, None])
-
-
-def _coordinate(p: Parameter, value: float) -> float:
-    """The search coordinate of a value of a parameter."""
-    return float(np.log(value / p.typical) / np.log(p.spread) if p.log else (value - p.typical) / p.spread)
 
 
 BASELINE = Hypothesis()

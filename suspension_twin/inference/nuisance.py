@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.inference.sensor_reading import read_alike, read_any, read_steady
+from suspension_twin.models.parameters import Parameter, Prior
 from suspension_twin.models.sensor_chain import TABLE
 from suspension_twin.models.simulate import cores, share_out
 
@@ -127,8 +128,8 @@ OF_PLANAR_MOTION = replace(
 class Nuisances:
     """The nuisances of a set of parts of drives; ``drive_of`` says which drive a part belongs to.
 
-    Values are in SI units, (q,) or (q, L), in the order of ``names``; ``spread`` (q,) are their
-    priors' standard deviations around zero.
+    Values are in SI units, (q,) or (q, L), in the order of ``parameters`` and their ``names``; ``spread`` (q,) are
+    their priors' standard deviations around zero.
     """
 
     def __init__(
@@ -141,14 +142,12 @@ class Nuisances:
     ) -> None:
         self.priors, self.channels = priors, tuple(channels)
         self._force = np.array([c.endswith("acceleration") for c in channels])
-        names: list[str] = []
+        parameters: list[Parameter] = []
         channels = tuple(channels)
-        spread: list[float] = []
 
-        def add(name: str, sigma: float) -> None:
+        def add(name: str, sigma: float, least: float = -np.inf) -> None:
             if sigma > 0:
-                names.append(name)
-                spread.append(sigma)
+                parameters.append(Parameter(name, (least, np.inf), Prior(0.0, sigma)))
 
         add("map_position", priors.map_position)
         add("clock_offset", priors.common_clock)
@@ -170,7 +169,7 @@ class Nuisances:
             self.channels.index("vertical_acceleration") if "vertical_acceleration" in self.channels else -1
         )
         if self._mounted >= 0:
-            add("mount", priors.mount)
+            add("mount", priors.mount, least=0.0)  # below its resonance an elastic mount amplifies motion
         drives: dict[int, str] = {}
         for part, drive in zip(parts, drive_of, strict=True):
             if drive not in drives:
@@ -188,15 +187,16 @@ class Nuisances:
             self._knots.append(knots)
             for k in range(knots.size):
                 add(f"{part.name}.wander.{number}.{k}", wander[drive])
-        self.names = tuple(names)
-        self.spread = np.array(spread)
-        #: (q,) True where a value cannot be negative: below its resonance an elastic mount amplifies motion
-        self.one_sided = np.array([name == "mount" for name in names], dtype=np.bool_)
-        self._row = {name: i for i, name in enumerate(names)}
+        self.parameters = tuple(parameters)
+        self.names = tuple(p.key for p in parameters)
+        self.spread = np.array([p.prior.spread for p in parameters])
+        #: (q,) True where a value cannot be negative
+        self.one_sided = np.array([p.lower == 0.0 for p in parameters], dtype=np.bool_)
+        self._row = {name: i for i, name in enumerate(self.names)}
         self._parts = tuple(parts)
         self._drive_names = tuple(drives[d] for d in drive_of)
         self._regressors = [
-            self._tilt(part) if "tilt_roll" in names else np.zeros((2, part.t.size, len(self.channels)))
+            self._tilt(part) if "tilt_roll" in self._row else np.zeros((2, part.t.size, len(self.channels)))
             for part in parts
         ]
 

@@ -24,10 +24,11 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.effects.registry import effect
 from suspension_twin.errors import InputError, nearest
+from suspension_twin.models.parameters import Parameter
 from suspension_twin.schema import Strict
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["CURVES", "Curve", "Parameter", "Space", "curve_keys", "twin_value"]
+__all__ = ["CURVES", "Curve", "Space", "curve_keys", "twin_value"]
 
 #: The six characteristics of a car, in the order of the car paper's Table 2, and the three of a single corner.
 CURVES = (
@@ -47,23 +48,6 @@ _POINT = re.compile(r"^(vehicle\.(?:(?:front|rear)\.)?(?:spring|damper_push|damp
 _LARGEST_LOG = 40.0
 # Least slope of a segment as a share of the mean slope of its curve: a flat segment has no logarithm.
 _FLAT = 1e-3
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """One free parameter in the units of the twin file.
-
-    ``spread`` is the standard deviation of the prior around ``nominal``: of the logarithm's
-    change where ``log`` holds, of the value itself elsewhere; for a point of a curve it is that
-    of the logarithm of the slope of the segment before it.
-    """
-
-    key: str
-    nominal: float
-    lower: float
-    upper: float
-    log: bool = True
-    spread: float = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,11 +141,11 @@ class Space:
         if len(set(self.keys)) != len(self.keys):
             twice = next(k for k in self.keys if self.keys.count(k) > 1)
             raise InputError("free parameters", twice, "is listed twice")
-        self.nominal = np.array([p.nominal for p in self.parameters])
+        self.nominal = np.array([p.prior.typical for p in self.parameters])
         self.lower = np.array([p.lower for p in self.parameters])
         self.upper = np.array([p.upper for p in self.parameters])
-        self._log = np.array([p.log for p in self.parameters], dtype=bool)
-        self._spread = np.array([p.spread for p in self.parameters])
+        self._log = np.array([p.prior.log for p in self.parameters], dtype=bool)
+        self._spread = np.array([p.prior.deviation for p in self.parameters])
         self.curves = self._find_curves(twin)
         self._on_curve = np.zeros(len(self.keys), dtype=bool)
         for curve in self.curves:
@@ -201,7 +185,7 @@ class Space:
                 raise InputError(
                     "bounds", p.key, f"the lower must be below the upper, are {p.lower:g}:{p.upper:g}"
                 )
-            if p.log and p.lower <= 0 and not _POINT.match(p.key):
+            if p.prior.log and p.lower <= 0 and not _POINT.match(p.key):
                 raise InputError("bounds", p.key, f"must be above 0, lower is {p.lower:g}")
         lower, upper = self.lower.copy(), self.upper.copy()
         for curve in self.curves:

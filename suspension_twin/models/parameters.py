@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The numbers of a twin as one vector, and many candidates of it side by side.
+"""The numbers of a twin: what is known of each before a drive, all as one vector, and many candidates side by side.
 
 A row has the dotted key that it has in the twin file: ``vehicle.mass``,
 ``vehicle.front.spring.force.2``, ``imu.position.0``, ``effects.strut_friction.front_force``.
@@ -8,9 +8,9 @@ A row has the dotted key that it has in the twin file: ``vehicle.mass``,
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -20,7 +20,107 @@ from suspension_twin.models.hooks import Hook, load_hook
 from suspension_twin.models.registry import model_of
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["ParameterLayout", "has_number", "lanes", "layout", "pack"]
+__all__ = ["Parameter", "ParameterLayout", "Prior", "has_number", "lanes", "layout", "pack"]
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Normal prior of a parameter about ``typical``.
+
+    ``spread`` is its standard deviation, in the parameter's unit ("linear") or of its logarithm ("log"), or the factor
+    of one standard deviation ("factor"). ``usual`` is how far from neutral the parameter lies in sound vehicles,
+    sensors and clocks.
+    """
+
+    typical: float
+    spread: float
+    scale: Literal["linear", "log", "factor"] = "linear"
+    usual: float = 0.0
+
+    @property
+    def log(self) -> bool:
+        """Whether it is normal in the logarithm."""
+        return self.scale != "linear"
+
+    @property
+    def deviation(self) -> float:
+        """Standard deviation of the parameter or, where ``log``, of its logarithm."""
+        return float(np.log(self.spread)) if self.scale == "factor" else self.spread
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number that can be free: of a vehicle, a sensor, a clock, a map or an effect.
+
+    ``key`` is its dotted key; an effect declares its own by name, without ``effects.<id>.`` before it. ``bounds`` are
+    physical, in ``unit``. ``neutral`` is the value of an effect's parameter where the twin file says nothing.
+    ``choices`` lists the values of a discrete one. ``each_drive``: it differs from drive to drive, as the phase of a
+    tone does; a twin file has that of one. A point of a characteristic has a prior of the logarithm of the slope of the
+    segment before it.
+    """
+
+    key: str
+    bounds: tuple[float, float]
+    prior: Prior
+    unit: str = ""
+    doc: str = ""
+    neutral: float = 0.0
+    choices: tuple[float, ...] = ()
+    each_drive: bool = False
+
+    @property
+    def name(self) -> str:
+        """The last part of the key."""
+        return self.key.rpartition(".")[2]
+
+    @property
+    def lower(self) -> float:
+        """Lower bound."""
+        return self.bounds[0]
+
+    @property
+    def upper(self) -> float:
+        """Upper bound."""
+        return self.bounds[1]
+
+    def check(self, effect: str, value: float) -> float:
+        """``value`` as it is, or InputError that names the effect and the parameter."""
+        if self.choices:
+            good, must = value in self.choices, f"one of {', '.join(f'{c:g}' for c in self.choices)}"
+        else:
+            good = value == self.neutral or self.lower <= value <= self.upper
+            must = f"between {self.lower:g} and {self.upper:g} {self.unit}".rstrip()
+        if not good:
+            raise InputError("twin", f"effects.{effect}.{self.name}", f"must be {must}, is {value:g}")
+        return value
+
+    def coordinate(self, value: float) -> float:
+        """Search coordinate of a value: its distance from typical in standard deviations of the prior."""
+        prior = self.prior
+        away = np.log(value / prior.typical) if prior.log else value - prior.typical
+        return float(away / prior.deviation)
+
+    def value(self, coordinate: Floats) -> Floats:
+        """Values for search coordinates (n,), inside the bounds."""
+        prior = self.prior
+        if prior.log:
+            factor = prior.spread if prior.scale == "factor" else np.exp(prior.spread)
+            plain = prior.typical * factor**coordinate
+        else:
+            plain = prior.typical + prior.spread * coordinate
+        return np.asarray(np.clip(plain, *self.bounds))
+
+    def about(self, key: str, value: float, bounds: tuple[float, float] | None = None) -> Parameter:
+        """The parameter of a twin, with its prior about the twin's ``value``; other ``bounds`` where they are given.
+
+        One that is searched in the logarithm has to be above zero: it starts from what is typical if ``value`` is not.
+        """
+        low, high = bounds or self.bounds
+        prior = self.prior if low > 0 else replace(self.prior, scale="linear")
+        start = prior.typical if prior.log and value <= 0 else value
+        return replace(
+            self, key=key, bounds=(low, high), prior=replace(prior, typical=min(max(start, low), high))
+        )
 
 
 @dataclass(frozen=True)

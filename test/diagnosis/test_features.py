@@ -48,7 +48,7 @@ def fitted(hypothesis: Hypothesis, nuisances: dict[str, float], values: dict[str
     parts = [SimpleNamespace(t=np.array([a, b]), position=np.array([5.0, 95.0])) for a, b, _ in ends]
     data = SimpleNamespace(parts=parts, drive_of=[drive for *_, drive in ends], active=(True, True, False))
     there = SimpleNamespace(d=2, q=len(names), shared=2 + len(names), nuisances=given, twin=twin, data=data)
-    u = [(values[p.name] - p.typical) / p.spread for _, p in hypothesis.searched]
+    u = [(values[p.name] - p.prior.typical) / p.prior.spread for _, p in hypothesis.searched]
     x = np.concatenate([np.zeros(2), [0.002 * v for v in nuisances.values()], u])
     return there, SimpleNamespace(fit=SimpleNamespace(hypothesis=hypothesis, x=x), penalty=None)
 

@@ -34,7 +34,7 @@ def test_starts_lie_in_the_bounds_and_away_from_nothing(offered: tuple[str, list
         assert (starts >= low[:, None]).all() and (starts <= high[:, None]).all()
         values = hypothesis.values(starts)
         for row, (key, parameter) in zip(values, hypothesis.searched, strict=True):
-            assert (row >= parameter.low).all() and (row <= parameter.high).all(), key
+            assert (row >= parameter.lower).all() and (row <= parameter.upper).all(), key
         severe = [i for i, (_, p) in enumerate(hypothesis.searched) if p.name in EFFECTS[name].severity]
         assert (np.ptp(values[severe], axis=1) > 0).all()
         for values_of_one in values.T:
@@ -79,7 +79,7 @@ def test_a_resonance_is_looked_for_everywhere(car: Twin) -> None:
         assert severe.name in EFFECTS[name].severity
         values = dict(zip(hypothesis.keys, hypothesis.values(points), strict=True))
         heard = values[f"effects.{name}.frequency"]
-        assert heard[0] == pytest.approx(tone.low) and heard[-1] == pytest.approx(tone.high)
+        assert heard[0] == pytest.approx(tone.lower) and heard[-1] == pytest.approx(tone.upper)
         assert np.ptp(np.diff(np.log(heard))) < 1e-9
         assert (values[f"effects.{name}.{severe.name}"] != severe.neutral).all()
 

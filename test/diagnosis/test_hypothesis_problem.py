@@ -54,7 +54,7 @@ def test_an_effect_of_no_severity_is_the_baseline(leaning: Problem, level: bool)
     tried = 0
     for effect, (first, *_) in library(problem.twin, True).items():
         severe = [p for p in EFFECTS[effect].parameters if p.name in EFFECTS[effect].severity]
-        if turns_with([effect]) or (upright_with([effect]) and not level) or any(p.log for p in severe):
+        if turns_with([effect]) or (upright_with([effect]) and not level) or any(p.prior.log for p in severe):
             continue  # some say themselves what leans, others are never quite nothing
         found, _ = problem.having(first).residuals(np.concatenate([z, first.neutral()[:, None]]))
         assert np.abs(found - plain).max() < 1e-6 * np.abs(plain).max(), effect

@@ -16,11 +16,11 @@ ON_MODELS = [(e, model) for e, effect in EFFECTS.items() for model in effect.mod
 def severe(effect, model):
     """Parameters of a severe effect."""
     own = EFFECTS[effect].on(model)
-    more = {p.name: p.typical for p in own.parameters}
+    more = {p.name: p.prior.typical for p in own.parameters}
     for name in own.severity:
         p = own.parameter(name)
-        if not p.log:
-            more[name] = p.typical + p.spread
+        if not p.prior.log:
+            more[name] = p.prior.typical + p.prior.spread
     return more
 
 

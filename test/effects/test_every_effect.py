@@ -30,10 +30,10 @@ VISIBLE = {
 
 def full(e: Effect) -> dict[str, float]:
     """Every parameter at its typical value, severities away from neutral."""
-    values = {p.name: p.typical for p in e.parameters}
+    values = {p.name: p.prior.typical for p in e.parameters}
     for name in e.severity:
         p = e.parameter(name)
-        values[name] = p.typical if p.typical != p.neutral else p.neutral + p.spread
+        values[name] = p.prior.typical if p.prior.typical != p.neutral else p.neutral + p.prior.spread
     return values | VISIBLE.get(e.id, {})
 
 
@@ -48,7 +48,7 @@ CAR_EFFECTS = [name for name, e in EFFECTS.items() if set(e.hook.models) & {"ful
 @pytest.mark.parametrize("name", CAR_EFFECTS)
 def test_neutral_is_bit_identical(twin: Twin, name: str) -> None:
     base = model_of(EFFECTS[name], twin)
-    neutral = {p.name: p.typical for p in EFFECTS[name].parameters}
+    neutral = {p.name: p.prior.typical for p in EFFECTS[name].parameters}
     neutral |= {s: EFFECTS[name].parameter(s).neutral for s in EFFECTS[name].severity}
     plain, same = respond(base), respond(given(base, **{name: neutral}))
     for field in (
@@ -176,8 +176,8 @@ def test_its_description_is_whole(name: str) -> None:
     assert 1 <= len(e.parameters) <= 5 and e.severity
     assert list(e.hook.neutral) == [p.name for p in e.parameters]
     for p in e.parameters:
-        assert p.low < p.high and p.doc and p.spread > 0 and (p.typical > 0 or not p.log)
-        assert p.low <= p.typical <= p.high
+        assert p.lower < p.upper and p.doc and p.prior.spread > 0 and (p.prior.typical > 0 or not p.prior.log)
+        assert p.lower <= p.prior.typical <= p.upper
         assert e.hook.neutral[p.name] == p.neutral
     assert all(s in e.hook.neutral for s in e.severity)
 

@@ -20,7 +20,7 @@ ROOT = Path(suspension_twin.__file__).parents[1]
 #: A spring in series with a damper beside each strut (Maxwell element): two constants and one state a corner.
 EFFECT = """
 from suspension_twin.compiled import inlined
-from suspension_twin.effects.base import Effect, Parameter
+from suspension_twin.effects.base import Effect, Parameter, Prior
 from suspension_twin.models import rows
 from suspension_twin.models.corner import travel_rate
 from suspension_twin.models.hooks import Hook, KernelTerms
@@ -31,8 +31,8 @@ STIFFNESS = FIELDS.add(CORNER)
 PACE = FIELDS.add(CORNER)
 FORCE = FIELDS.state(CORNER)
 PARAMETERS = (
-    Parameter("stiffness", "N/m", 0.0, 1e6, 0.0, 2e4, 1e4, "of the spring"),
-    Parameter("damping", "N s/m", 1.0, 1e5, 2e3, 2e3, 1e3, "of the damper in series with it"),
+    Parameter("stiffness", (0.0, 1e6), Prior(2e4, 1e4), "N/m", "of the spring"),
+    Parameter("damping", (1.0, 1e5), Prior(2e3, 1e3), "N s/m", "of the damper in series with it", neutral=2e3),
 )
 
 

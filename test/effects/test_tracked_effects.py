@@ -58,7 +58,12 @@ def test_parameters_have_bounds_and_priors_that_hold_each_other(name: str) -> No
     found = effect(name, "tracked")
     assert found.severity and set(found.severity) <= {p.name for p in found.parameters}
     for p in found.parameters:
-        assert p.low <= p.neutral <= p.high and p.low <= p.typical <= p.high and p.spread > 0 and p.doc
+        assert (
+            p.lower <= p.neutral <= p.upper
+            and p.lower <= p.prior.typical <= p.upper
+            and p.prior.spread > 0
+            and p.doc
+        )
 
 
 def test_the_vehicle_with_an_effect_by_closed_forms(twin: Twin) -> None:

@@ -139,7 +139,7 @@ def test_a_command_of_a_package_and_a_broken_one(tmp_path: Path, repository: Pat
 
 TERM = """
     from suspension_twin.effects.base import CORNER, WIDTH, Effect, Fields, Floats, Hook, KernelTerms
-    from suspension_twin.effects.base import Parameter, inlined, rows, travel_rate
+    from suspension_twin.effects.base import Parameter, Prior, inlined, rows, travel_rate
 
     _FIELDS = Fields()
     _RATE = _FIELDS.add()
@@ -156,7 +156,7 @@ TERM = """
         title="square damping",
         where="strut",
         doc="A force that grows with the square of the velocity.",
-        parameters=(Parameter("rate", "N s²/m²", 0.0, 1e5, 0.0, 0.0, 300.0, "of the force"),),
+        parameters=(Parameter("rate", (0.0, 1e5), Prior(0.0, 300.0), "N s²/m²", "of the force"),),
         severity=("rate",),
         excited_by=("bumps",),
         confused_with=("worn_dampers",),

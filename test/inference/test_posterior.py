@@ -26,8 +26,9 @@ from suspension_twin.inference.posterior import (
 )
 from suspension_twin.inference.problem import Data, Likelihood, Linearised, Problem
 from suspension_twin.inference.runs import observe_runs
-from suspension_twin.inference.space import Curve, Parameter, Space, twin_value
+from suspension_twin.inference.space import Curve, Space, twin_value
 from suspension_twin.inference.spring_position import slides
+from suspension_twin.models.parameters import Parameter, Prior
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.twin import Twin, load_twin
 
@@ -58,7 +59,7 @@ def space_of(twin: Twin, keys: tuple[str, ...] = (*SPRING, *MASS), spread: float
         **dict(zip(DAMPER, (200.0, 700.0), strict=True)),
         MASS[0]: 390.0,
     }
-    return Space(twin, [Parameter(k, values[k], 1e-2, 1e7, True, spread) for k in keys])
+    return Space(twin, [Parameter(k, (1e-2, 1e7), Prior(values[k], spread, "log")) for k in keys])
 
 
 class Straight:
@@ -378,7 +379,7 @@ def test_a_spring_is_told_by_its_axle(mondeo: Twin) -> None:
         {f"vehicle.{a}.spring.{k}": v for a in ("front", "rear") for k, v in points.items()}
     )
     keys = [f"vehicle.{a}.spring.force.{i}" for a in ("front", "rear") for i in (0, 1)]
-    space = Space(twin, [Parameter(k, (4e3, 12e3)[int(k[-1])], 1.0, 1e6, True, 0.2) for k in keys])
+    space = Space(twin, [Parameter(k, (1.0, 1e6), Prior((4e3, 12e3)[int(k[-1])], 0.2, "log")) for k in keys])
     rng = np.random.default_rng(9)
     lines = Lines(rng.standard_normal((100, 4)) * [0.0, 3.0, 0.0, 3.0], space.z0)
     seen = {"front": nowhere().compression[""], "rear": np.linspace(*SEEN, 400)}
@@ -399,7 +400,7 @@ def test_two_springs_slide_by_themselves(mondeo: Twin, axle: int) -> None:
         {f"vehicle.{a}.spring.{k}": v for a in ("front", "rear") for k, v in points.items()}
     )
     keys = [f"vehicle.{a}.spring.force.{i}" for a in ("front", "rear") for i in (0, 1)]
-    space = Space(twin, [Parameter(k, (4e3, 12e3)[int(k[-1])], 1.0, 1e6, True, 0.2) for k in keys])
+    space = Space(twin, [Parameter(k, (1.0, 1e6), Prior((4e3, 12e3)[int(k[-1])], 0.2, "log")) for k in keys])
     lines = Lines(np.random.default_rng(9).standard_normal((100, 4)) * [0.0, 3.0, 0.0, 3.0], space.z0)
     seen = np.linspace(*SEEN, 400)
     where = Travel({"front": seen, "rear": seen}, {}, {"front": STATIC, "rear": STATIC}, RATE)
@@ -417,7 +418,10 @@ def test_slides_far_apart_lend_each_other_no_width(repository: Path) -> None:
     forces = (2300.0, 6900.0, 11500.0, 23000.0)
     space = Space(
         twin,
-        [Parameter(f"vehicle.spring.force.{i}", f, 1e-2, 1e7, True, 0.2) for i, f in enumerate(forces)],
+        [
+            Parameter(f"vehicle.spring.force.{i}", (1e-2, 1e7), Prior(f, 0.2, "log"))
+            for i, f in enumerate(forces)
+        ],
     )
     lines = Lines(np.random.default_rng(1).standard_normal((150, 4)) * 30.0, space.z0)
     seen = np.linspace(0.05, 0.29, 500)
@@ -531,7 +535,7 @@ def test_travel_of_a_car_is_that_of_both_wheels_of_each_axle_over_all_parts(pass
     parts = [whole, whole.part(whole.t[0] + 2.0, whole.t[-1])]
     rows = [np.arange(100, 400), np.arange(50, 150)]
     keys = [f"vehicle.{axle}.spring.force.0" for axle in ("front", "rear")]
-    space = Space(twin, [Parameter(k, twin_value(twin, k), 1.0, 1e6) for k in keys])
+    space = Space(twin, [Parameter(k, (1.0, 1e6), Prior(twin_value(twin, k), 0.5, "log")) for k in keys])
     problem = problem_of(twin, space, parts, rows, "vertical_acceleration")
     found = travel(twin, problem)
     assert list(found.compression) == list(found.velocity) == list(found.static) == ["front", "rear"]

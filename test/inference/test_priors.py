@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from suspension_twin.errors import InputError
-from suspension_twin.inference.priors import PRIORS, Prior, prior_of
+from suspension_twin.inference.priors import PRIORS, TwinPrior, prior_of
 from suspension_twin.inference.space import twin_value
 from suspension_twin.vehicle.tracked import BOUNDS
 from suspension_twin.vehicle.twin import Twin, load_twin
@@ -29,7 +30,7 @@ PLACES = {
 @settings(max_examples=30)
 @given(st.floats(1e-3, 1e6), st.floats(1.01, 10.0))
 def test_bounds_of_a_positive_number_are_a_factor_apart(nominal: float, reach: float) -> None:
-    low, high = Prior(True, reach, 0.1).around(nominal)
+    low, high = TwinPrior("log", reach, 0.1).around(nominal)
     assert 0 < low < nominal < high
     assert nominal / low == pytest.approx(reach) and high / nominal == pytest.approx(reach)
 
@@ -37,15 +38,15 @@ def test_bounds_of_a_positive_number_are_a_factor_apart(nominal: float, reach: f
 @settings(max_examples=30)
 @given(st.floats(-1e3, 1e3), st.floats(0.01, 10.0))
 def test_bounds_of_a_place_are_a_distance_apart(nominal: float, reach: float) -> None:
-    low, high = Prior(False, reach, 0.1).around(nominal)
+    low, high = TwinPrior("linear", reach, 0.1).around(nominal)
     assert low < nominal < high
     assert nominal - low == pytest.approx(reach) and high - nominal == pytest.approx(reach)
 
 
-@pytest.mark.parametrize("log", [True, False])
-def test_bounds_that_are_given_are_used_as_they_are(log: bool) -> None:
-    assert Prior(log, 2.0, 0.1, (3.0, 7.0)).around(5.0) == (3.0, 7.0)
-    assert Prior(log, 2.0, 0.1, (3.0, 7.0)).around(99.0) == (3.0, 7.0)
+@pytest.mark.parametrize("scale", ["linear", "log"])
+def test_bounds_that_are_given_are_used_as_they_are(scale: Literal["linear", "log"]) -> None:
+    assert TwinPrior(scale, 2.0, 0.1, (3.0, 7.0)).around(5.0) == (3.0, 7.0)
+    assert TwinPrior(scale, 2.0, 0.1, (3.0, 7.0)).around(99.0) == (3.0, 7.0)
 
 
 @pytest.mark.parametrize("key", BOUNDS)
@@ -55,21 +56,21 @@ def test_of_a_track_bounds_are_those_of_the_paper_and_a_deviation_15_percent_of_
     low, high = prior.around(1.0)
     assert (low, high) == BOUNDS[key]
     if low > 0:
-        assert prior.log and prior.spread == pytest.approx(0.15 * (np.log(high) - np.log(low)))
+        assert prior.scale == "log" and prior.spread == pytest.approx(0.15 * (np.log(high) - np.log(low)))
     else:
-        assert not prior.log and prior.spread == pytest.approx(0.15 * (high - low))
+        assert prior.scale == "linear" and prior.spread == pytest.approx(0.15 * (high - low))
 
 
 @pytest.mark.parametrize("key", PRIORS)
 def test_positive_quantities_have_theirs_in_the_logarithm(key: str) -> None:
-    assert PRIORS[key].log == (key not in PLACES)
+    assert (PRIORS[key].scale == "log") == (key not in PLACES)
 
 
 @pytest.mark.parametrize("key", PRIORS)
 def test_bounds_leave_three_deviations_to_either_side(key: str) -> None:
     prior = PRIORS[key]
     low, high = prior.around(1.0)
-    width = np.log(high / low) if prior.log else high - low
+    width = np.log(high / low) if prior.scale == "log" else high - low
     assert 0 < 6 * prior.spread <= width
 
 
@@ -118,7 +119,7 @@ def test_free_by_default_is_what_a_vehicle_without_characteristics_has(repositor
         for name in ("ford_mondeo_mk4", "quarter_car")
     )
     for key, prior in PRIORS.items():
-        if prior.usual:
+        if prior.free:
             assert not has(car, key) and not has(corner, key), key
             assert has(tracked, key) or key == "vehicle.driver.gain", key  # nobody drives this one
         else:

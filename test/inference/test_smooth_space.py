@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from suspension_twin.calibration.presets import build_space, preset_named
 from suspension_twin.inference.smooth_space import FEW_POINTS, KNOTS, SmoothSpace, smooth_space
-from suspension_twin.inference.space import CURVES, Parameter, Space, curve_keys, twin_value
+from suspension_twin.inference.space import CURVES, Space, curve_keys, twin_value
+from suspension_twin.models.parameters import Parameter, Prior
 from suspension_twin.vehicle.twin import Twin
 
 CAR = [key for key in CURVES if ".front." in key or ".rear." in key]
@@ -132,7 +133,8 @@ def free(twin: Twin, *more: Parameter, spread: float = 0.5) -> Space:
     keys = curve_keys(twin, [SPRING])
     values = [float(twin_value(twin, k)) for k in keys]
     spring = [
-        Parameter(k, v, 1e-3 * v, 1e3 * v + 1.0, spread=spread) for k, v in zip(keys, values, strict=True)
+        Parameter(k, (1e-3 * v, 1e3 * v + 1.0), Prior(v, spread, "log"))
+        for k, v in zip(keys, values, strict=True)
     ]
     return smooth_space(twin, Space(twin, [*more, *spring]))
 
@@ -140,7 +142,7 @@ def free(twin: Twin, *more: Parameter, spread: float = 0.5) -> Space:
 @pytest.mark.parametrize("points", [FEW_POINTS + 1, 22, 23])
 def test_the_change_of_log_slopes_is_linear_between_the_knots(mondeo: Twin, points: int) -> None:
     twin = with_points(mondeo, points)
-    mass = Parameter("vehicle.mass", 1725.0, 1000.0, 3000.0, spread=0.1)
+    mass = Parameter("vehicle.mass", (1000.0, 3000.0), Prior(1725.0, 0.1, "log"))
     smooth = free(twin, mass)
     assert smooth.names == ("vehicle.mass", *(f"{SPRING}.knot.{k}" for k in range(KNOTS)))
     np.testing.assert_allclose(smooth.z0, 0.0, atol=1e-9)
@@ -174,8 +176,12 @@ def test_shifts_move_the_knots_of_springs_and_of_dampers_and_points_of_small_cur
     twin = with_spring(few, x, force)
     keys = [*curve_keys(twin, [SPRING]), *curve_keys(twin, ["vehicle.rear.damper_push"])]
     values = [float(twin_value(twin, k)) for k in keys]
-    found = [Parameter(k, v, v / 9.0, v * 9.0) for k, v in zip(keys, values, strict=True)]
-    smooth = smooth_space(twin, Space(twin, [Parameter("vehicle.mass", 1725.0, 1e3, 3e3), *found]))
+    found = [
+        Parameter(k, (v / 9.0, v * 9.0), Prior(v, 0.5, "log")) for k, v in zip(keys, values, strict=True)
+    ]
+    smooth = smooth_space(
+        twin, Space(twin, [Parameter("vehicle.mass", (1e3, 3e3), Prior(1725.0, 0.5, "log")), *found])
+    )
     start = np.arange(float(len(smooth)))
     moved = smooth.shifted(start, 0.3, -0.2) - start
     wanted = [0.3 if ".spring." in n else -0.2 if ".damper_" in n else 0.0 for n in smooth.names]
@@ -184,7 +190,7 @@ def test_shifts_move_the_knots_of_springs_and_of_dampers_and_points_of_small_cur
 
 
 def test_the_usual_prior_is_one_and_lets_neighbours_follow(many: Twin) -> None:
-    smooth = free(many, Parameter("vehicle.mass", 1725.0, 1e3, 3e3, spread=0.1), spread=0.4)
+    smooth = free(many, Parameter("vehicle.mass", (1e3, 3e3), Prior(1725.0, 0.1, "log")), spread=0.4)
     precision = smooth.prior_precision()
     assert np.linalg.eigvalsh(precision).min() > 0.0
     covariance = np.linalg.inv(precision)
@@ -241,7 +247,7 @@ def test_a_frozen_curve_of_many_points_is_simulated_by_its_last_and_those_that_f
     """It has no knots."""
     x = 0.37 * np.arange(1, 31) / 30
     straight = with_spring(many, x, 1e5 * x)
-    mass = Parameter("vehicle.mass", 1725.0, 1000.0, 3000.0)
+    mass = Parameter("vehicle.mass", (1000.0, 3000.0), Prior(1725.0, 0.5, "log"))
     smooth = smooth_space(straight, Space(straight, [mass]))
     assert smooth.names == smooth.simulated_keys == ("vehicle.mass",)
     few = smooth.simulated(straight)

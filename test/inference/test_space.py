@@ -12,14 +12,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from suspension_twin.errors import InputError
-from suspension_twin.inference.space import Curve, Parameter, Space, bounds_of, curve_keys, twin_value
+from suspension_twin.inference.space import Curve, Space, bounds_of, curve_keys, twin_value
+from suspension_twin.models.parameters import Parameter, Prior
 from suspension_twin.vehicle.twin import Twin, load_twin
 
 
 def wide_space(twin: Twin, keys: tuple[str, ...] | None = None, factor: float = 20.0) -> Space:
     keys = curve_keys(twin) if keys is None else keys
     values = [float(twin_value(twin, k)) for k in keys]
-    return Space(twin, [Parameter(k, v, v / factor, v * factor) for k, v in zip(keys, values, strict=True)])
+    return Space(
+        twin,
+        [
+            Parameter(k, (v / factor, v * factor), Prior(v, 0.5, "log"))
+            for k, v in zip(keys, values, strict=True)
+        ],
+    )
 
 
 def rising(space: Space, values: np.ndarray) -> bool:
@@ -67,8 +74,8 @@ def test_a_frozen_point_holds_its_neighbours(mondeo: Twin) -> None:
 
 
 def test_other_parameters_move_by_ratio_or_by_spread(mondeo: Twin) -> None:
-    mass = Parameter("vehicle.mass", 1725.0, 1000.0, 3000.0, spread=0.1)
-    shift = Parameter("vehicle.cog.1", 0.0, -0.2, 0.2, log=False, spread=0.05)
+    mass = Parameter("vehicle.mass", (1000.0, 3000.0), Prior(1725.0, 0.1, "log"))
+    shift = Parameter("vehicle.cog.1", (-0.2, 0.2), Prior(0.0, 0.05))
     space = Space(mondeo, [mass, shift])
     assert space.from_slopes(np.array([np.log(1.1), 2.0])) == pytest.approx([1.1 * 1725.0, 0.1])
     assert space.to_slopes(np.array([1725.0, -0.05])) == pytest.approx([0.0, -1.0])
@@ -89,13 +96,13 @@ def test_prior_couples_neighbours_of_one_curve_only(mondeo: Twin) -> None:
 @pytest.mark.parametrize(
     ("parameters", "words"),
     [
-        ([Parameter("vehicle.mass", 1.0, 2.0, 1.0)], "vehicle.mass"),
-        ([Parameter("vehicle.mass", 1.0, -2.0, 1.0)], "above 0"),
-        ([Parameter("vehicle.front.spring.force.9", 1.0, 0.5, 2.0)], "has 4 points"),
+        ([Parameter("vehicle.mass", (2.0, 1.0), Prior(1.0, 0.5, "log"))], "vehicle.mass"),
+        ([Parameter("vehicle.mass", (-2.0, 1.0), Prior(1.0, 0.5, "log"))], "above 0"),
+        ([Parameter("vehicle.front.spring.force.9", (0.5, 2.0), Prior(1.0, 0.5, "log"))], "has 4 points"),
         (
             [
-                Parameter("vehicle.front.spring.force.0", 2300.0, 2000.0, 3000.0),
-                Parameter("vehicle.front.spring.force.1", 1000.0, 500.0, 1500.0),
+                Parameter("vehicle.front.spring.force.0", (2000.0, 3000.0), Prior(2300.0, 0.5, "log")),
+                Parameter("vehicle.front.spring.force.1", (500.0, 1500.0), Prior(1000.0, 0.5, "log")),
             ],
             "no rising curve",
         ),
@@ -133,13 +140,16 @@ def test_a_flat_segment_has_the_slope_of_a_small_share_of_the_last_force(mondeo:
 
 # -- every coordinate by its formula -------------------------------------------------------------------------------
 
-MASS = Parameter("vehicle.mass", 1725.0, 1000.0, 3000.0, spread=0.1)
-SHIFT = Parameter("vehicle.cog.1", 0.02, -0.1, 0.3, log=False, spread=0.05)
+MASS = Parameter("vehicle.mass", (1000.0, 3000.0), Prior(1725.0, 0.1, "log"))
+SHIFT = Parameter("vehicle.cog.1", (-0.1, 0.3), Prior(0.02, 0.05))
 SPRING = "vehicle.front.spring"
 
 
 def of_spring(*rows: tuple[int, float, float, float], spread: float = 0.5) -> list[Parameter]:
-    return [Parameter(f"{SPRING}.force.{i}", value, low, high, spread=spread) for i, value, low, high in rows]
+    return [
+        Parameter(f"{SPRING}.force.{i}", (low, high), Prior(value, spread, "log"))
+        for i, value, low, high in rows
+    ]
 
 
 def test_keys_are_those_of_the_curves_that_a_vehicle_has(mondeo: Twin, repository: Path) -> None:
@@ -215,7 +225,9 @@ def test_bounds_are_finite_and_apart_and_those_of_a_logarithm_above_zero(
     mondeo: Twin, lower: float, upper: float, log: bool
 ) -> None:
     with pytest.raises(InputError, match="bounds: vehicle.mass"):
-        Space(mondeo, [Parameter("vehicle.mass", 1.0, lower, upper, log=log)])
+        Space(
+            mondeo, [Parameter("vehicle.mass", (lower, upper), Prior(1.0, 0.5, "log" if log else "linear"))]
+        )
     assert Space(mondeo, of_spring((0, 10.0, 0.0, 20.0))).lower.tolist() == [0.0]  # a force may be nothing
 
 
@@ -287,7 +299,7 @@ def test_other_parameters_are_clipped_to_their_bounds_and_scaled_from_the_nomina
 
 
 def test_a_shift_moves_slopes_of_springs_and_of_dampers_and_nothing_else(mondeo: Twin) -> None:
-    damper = Parameter("vehicle.rear.damper_pull.force.1", 900.0, 500.0, 1200.0)
+    damper = Parameter("vehicle.rear.damper_pull.force.1", (500.0, 1200.0), Prior(900.0, 0.5, "log"))
     space = Space(mondeo, [MASS, damper, *of_spring((0, 2300.0, 10.0, 6e3))])
     z = np.arange(3.0)
     np.testing.assert_allclose(space.shifted(z, 0.3, -0.2), [0.0, 0.8, 2.3])
@@ -297,7 +309,7 @@ def test_a_shift_moves_slopes_of_springs_and_of_dampers_and_nothing_else(mondeo:
 @pytest.mark.parametrize("correlation", [0.0, 0.5, 0.8])
 def test_the_prior_of_slopes_falls_off_with_the_segments_between(mondeo: Twin, correlation: float) -> None:
     """Spreads are of logarithms; what moves by its spread has a coordinate of spread one."""
-    spring = [replace(p, spread=s) for p, s in zip(
+    spring = [replace(p, prior=replace(p.prior, spread=s)) for p, s in zip(
         of_spring((3, 23e3, 1.0, 60e3), (0, 2300.0, 1.0, 6e3), (1, 6900.0, 1.0, 9e3)), (0.2, 0.3, 0.4), strict=True
     )]  # fmt: skip
     space = Space(mondeo, [MASS, *spring, SHIFT])
@@ -324,14 +336,16 @@ def test_what_lies_on_a_bound(mondeo: Twin) -> None:
     np.testing.assert_array_equal(space.on_bound(space.from_unit(u)), [on] * 3)
     wide = space.on_bound(space.from_unit(u), share=0.3)
     np.testing.assert_array_equal(wide, [[True, True, True, False, True, True, True]] * 3)
-    eighths = Space(mondeo, [replace(SHIFT, nominal=0.0, lower=0.0, upper=8.0)])  # of exactly that share
+    eighths = Space(
+        mondeo, [replace(SHIFT, bounds=(0.0, 8.0), prior=replace(SHIFT.prior, typical=0.0))]
+    )  # of exactly that share
     found = [eighths.on_bound(np.array([v]), share=0.125).item() for v in (1.0, 1.01, 6.99, 7.0)]
     assert found == [True, False, False, True]
 
 
 def test_values_are_put_into_a_checked_copy(mondeo: Twin) -> None:
     twin = mondeo.with_changes({"effects": [{"id": "payload", "parameters": {"mass": 90.0, "x": 0.4}}]})
-    load = Parameter("effects.payload.mass", 90.0, 10.0, 500.0)
+    load = Parameter("effects.payload.mass", (10.0, 500.0), Prior(90.0, 0.5, "log"))
     space = Space(twin, [load, MASS, *of_spring((1, 6900.0, 10.0, 9e3))])
     changed = space.applied(twin, np.array([120.0, 1800.0, 7000.0]))
     assert (

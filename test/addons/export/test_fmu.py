@@ -86,8 +86,8 @@ def test_every_effect_of_the_kernel_is_in_it(mondeo: Twin, bump: Excitation, wri
     specs = []
     for name, effect in EFFECTS.items():
         if "full_car" in effect.models and (effect.hook.kernel or effect.hook.corners or effect.hook.vehicle):
-            typical = {p.name: p.typical for p in effect.parameters}
-            strong = {n: typical[n] or 0.3 * effect.parameter(n).spread for n in effect.severity}
+            typical = {p.name: p.prior.typical for p in effect.parameters}
+            strong = {n: typical[n] or 0.3 * effect.parameter(n).prior.spread for n in effect.severity}
             specs.append({"id": name, "parameters": {**typical, **strong}})
     assert len(specs) > 18
     # The heat of a fading damper is looked up once in a communication step, which is shorter here than between stamps;

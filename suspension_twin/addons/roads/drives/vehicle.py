@@ -33,8 +33,9 @@ from numpy.typing import NDArray
 from suspension_twin.addons.roads.drives.inverse import Inverse
 from suspension_twin.addons.roads.drives.passes import banded
 from suspension_twin.arrays import Floats
-from suspension_twin.inference.priors import Prior, prior_of
-from suspension_twin.inference.space import Parameter, twin_value
+from suspension_twin.inference.priors import TwinPrior, prior_of
+from suspension_twin.inference.space import twin_value
+from suspension_twin.models.parameters import Parameter
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = [
@@ -55,18 +56,17 @@ _FARTHEST = 1.5
 _OPEN = 0.7
 
 
-def _of(key: str, prior: Prior | None = None) -> Parameter:
+def _of(key: str, prior: TwinPrior | None = None) -> Parameter:
     """A factor on the value behind a key, or an offset in m, by the prior that a calibration has for it."""
     prior = prior or prior_of(key)
     assert prior is not None
-    nominal = 1.0 if prior.log else 0.0
-    return Parameter(key, nominal, *prior.around(nominal), prior.log, prior.spread)
+    return prior.about(key, 1.0 if prior.scale == "log" else 0.0)
 
 
 #: Priors of springs and dampers as a whole, from passenger cars (Gillespie, Fundamentals of Vehicle Dynamics, 1992,
 #: chapter 5): ride frequencies of 1 to 1.5 Hz, which is about 20 % in stiffness; damping ratios of 0.2 to 0.4, and a
 #: worn damper less.
-_SPRING, _DAMPER = Prior(True, 3.0, 0.2), Prior(True, 3.0, 0.4)
+_SPRING, _DAMPER = TwinPrior("log", 3.0, 0.2), TwinPrior("log", 3.0, 0.4)
 #: By name; of a damper both directions. The mass is not among them: a common factor of it and all of these but the last
 #: changes no motion on any road, so that they are found relative to the mass of the twin file.
 PARAMETERS: Final[Mapping[str, Parameter]] = {
@@ -81,7 +81,7 @@ PARAMETERS: Final[Mapping[str, Parameter]] = {
     "roll inertia": _of("vehicle.sprung_inertia.roll"),
     "centre of gravity": _of("vehicle.cog.0"),
 }
-_SPREAD: Final = np.array([p.spread for p in PARAMETERS.values()])
+_SPREAD: Final = np.array([p.prior.spread for p in PARAMETERS.values()])
 
 
 def scaled_twin(twin: Twin, values: Floats) -> Twin:
@@ -93,7 +93,7 @@ def scaled_twin(twin: Twin, values: Floats) -> Twin:
             if isinstance(now, tuple):
                 changes[key] = [float(v) * math.exp(value) for v in now]
             else:
-                changes[key] = now * math.exp(value) if parameter.log else now + value
+                changes[key] = now * math.exp(value) if parameter.prior.log else now + value
     return twin.with_changes(changes)
 
 
@@ -145,10 +145,10 @@ class VehicleEstimate:
         rows: list[dict[str, object]] = []
         for i, (name, p) in enumerate(PARAMETERS.items()):
             low, middle, high = (float(self.values[i] + q * self.sigma[i]) for q in (-1.645, 0.0, 1.645))
-            if p.log:
+            if p.prior.log:
                 low, middle, high = math.exp(low), math.exp(middle), math.exp(high)
             left = float(self.sigma[i] / self.prior[i])
-            row = {"name": name, "unit": "" if p.log else "m", "value": middle, "interval": [low, high]}
+            row = {"name": name, "unit": "" if p.prior.log else "m", "value": middle, "interval": [low, high]}
             rows.append({**row, "left_of_prior": left})
         return rows
 
