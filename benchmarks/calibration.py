@@ -49,8 +49,8 @@ from suspension_twin.calibration.request import CalibrationRequest, CalibrationR
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.drive.read import read_drive
 from suspension_twin.inference.observation import observe
-from suspension_twin.inference.space import twin_value
 from suspension_twin.inference.synthetic import SensorErrors
+from suspension_twin.models.parameters import twin_value
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.twin import Twin, load_twin
 

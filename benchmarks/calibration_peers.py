@@ -17,8 +17,8 @@ from suspension_twin.calibration.request import Progress
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.calibration.searches import costs_of
 from suspension_twin.calibration.setup import set_up
-from suspension_twin.inference.space import twin_value
 from suspension_twin.inference.synthetic import SensorErrors
+from suspension_twin.models.parameters import twin_value
 from suspension_twin.vehicle.twin import Twin, load_twin
 
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from suspension_twin.effects.registry import effect
-from suspension_twin.inference.space import twin_value
+from suspension_twin.models.parameters import twin_value
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["parameter_label", "parameter_unit"]

@@ -15,8 +15,8 @@ from suspension_twin.effects.registry import effect
 from suspension_twin.errors import InputError, nearest
 from suspension_twin.inference.gauss_newton import GaussNewtonSettings
 from suspension_twin.inference.priors import prior_of
-from suspension_twin.inference.space import CURVES, Space, bounds_of, curve_keys, twin_value
-from suspension_twin.models.parameters import Parameter, Prior, layout
+from suspension_twin.inference.space import CURVES, Space, bounds_of, curve_keys
+from suspension_twin.models.parameters import Parameter, Prior, layout, twin_value
 from suspension_twin.models.registry import model_of
 from suspension_twin.vehicle.tracked import BOUNDS
 from suspension_twin.vehicle.twin import EffectSpec, Twin

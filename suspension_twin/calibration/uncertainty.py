@@ -34,7 +34,8 @@ from suspension_twin.inference.noise import NEAR_FLOOR, ScaledObjective, Whitene
 from suspension_twin.inference.objectives import Objective, Term
 from suspension_twin.inference.posterior import Posterior, Travel, posterior, span_of, travel
 from suspension_twin.inference.problem import JointPrior, Noise, Problem
-from suspension_twin.inference.space import Curve, Space, twin_value
+from suspension_twin.inference.space import Curve, Space
+from suspension_twin.models.parameters import twin_value
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["HALF_WIDTH", "INTERVAL", "Uncertainty", "assess", "curve_estimates"]

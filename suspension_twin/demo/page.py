@@ -12,7 +12,7 @@ from scipy.ndimage import uniform_filter1d
 from suspension_twin.arrays import Floats
 from suspension_twin.demo.steps import DRIVES, LEARNT, UNSEEN, DemoResult, Outcome
 from suspension_twin.inference.observation import observe
-from suspension_twin.inference.space import twin_value
+from suspension_twin.models.parameters import twin_value
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.pose.local_map import LocalMap
 from suspension_twin.report import Cell, Page, Section, Table, plots

@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
-from suspension_twin.inference.space import CURVES, Space, curve_keys, twin_value
-from suspension_twin.models.parameters import Parameter
+from suspension_twin.inference.space import CURVES, Space, curve_keys
+from suspension_twin.models.parameters import Parameter, twin_value
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["FEW_POINTS", "KNOTS", "SmoothSpace", "smooth_space"]

@@ -22,13 +22,11 @@ from typing import Any
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.effects.registry import effect
-from suspension_twin.errors import InputError, nearest
-from suspension_twin.models.parameters import Parameter
-from suspension_twin.schema import Strict
+from suspension_twin.errors import InputError
+from suspension_twin.models.parameters import Parameter, twin_value
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["CURVES", "Curve", "Space", "curve_keys", "twin_value"]
+__all__ = ["CURVES", "Curve", "Space", "curve_keys"]
 
 #: The six characteristics of a car, in the order of the car paper's Table 2, and the three of a single corner.
 CURVES = (
@@ -93,40 +91,6 @@ def curve_keys(twin: Twin, curves: Sequence[str] = CURVES) -> tuple[str, ...]:
             continue
         keys.extend(f"{curve}.force.{i}" for i in range(len(points)))
     return tuple(keys)
-
-
-def twin_value(twin: Twin, key: str) -> Any:
-    """The value behind a dotted key of the twin file; raises InputError that names the key."""
-    if key.startswith("effects."):
-        return _effect_value(twin, key)
-    node: Any = twin
-    for part in key.split("."):
-        try:
-            if isinstance(node, Mapping):
-                node = node[part]
-            else:
-                node = node[int(part)] if isinstance(node, tuple | list) else getattr(node, part)
-        except (AttributeError, LookupError, ValueError):
-            known = (
-                type(node).model_fields
-                if isinstance(node, Strict)
-                else node
-                if isinstance(node, Mapping)
-                else {}
-            )
-            near = nearest(part, known) or (f" ({', '.join(known)})" if known else "")
-            raise InputError("parameters", key, f"no such key in the twin file{near}") from None
-    return node
-
-
-def _effect_value(twin: Twin, key: str) -> float:
-    _, name, *parameter = key.split(".")
-    for spec in twin.effects:
-        if spec.id == name and len(parameter) == 1:
-            values = effect(name, twin.model).values(spec.parameters)
-            if parameter[0] in values:
-                return values[parameter[0]]
-    raise InputError("parameters", key, "the twin has no such effect parameter")
 
 
 class Space:

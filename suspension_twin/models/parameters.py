@@ -18,9 +18,9 @@ from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.models.hooks import Hook, load_hook
 from suspension_twin.models.registry import model_of
-from suspension_twin.vehicle.twin import Twin
+from suspension_twin.vehicle.twin import Twin, value_at
 
-__all__ = ["Parameter", "ParameterLayout", "Prior", "has_number", "lanes", "layout", "pack"]
+__all__ = ["Parameter", "ParameterLayout", "Prior", "has_number", "lanes", "layout", "pack", "twin_value"]
 
 
 @dataclass(frozen=True)
@@ -168,18 +168,24 @@ def layout(twin: Twin) -> ParameterLayout:
     return ParameterLayout(tuple(names), twin.model, hooks, twin.imu.rpy)
 
 
-def _value(twin: Twin, shape: ParameterLayout, key: str) -> float:
-    if key.startswith("effects."):
-        _, effect, name = key.split(".")
-        given = next(e.parameters for e in twin.effects if e.id == effect)
-        return float(given.get(name, shape.hooks[effect].neutral[name]))
-    node: Any = twin
-    for part in key.split("."):
-        if isinstance(node, Mapping):
-            node = node[part]
-        else:
-            node = node[int(part)] if part.isdigit() else getattr(node, part)
-    return float(node)
+def _of_effects(twin: Twin) -> dict[str, float]:
+    """Parameters of the twin's effects by their dotted keys: as the file gives them, else neutral."""
+    return {
+        f"effects.{effect.id}.{name}": float(value)
+        for effect in twin.effects
+        for name, value in {**load_hook(effect.id, twin.model).neutral, **effect.parameters}.items()
+    }
+
+
+def twin_value(twin: Twin, key: str) -> Any:
+    """The value behind a dotted key of the twin file, neutral for a parameter that an effect does not give; raises
+    InputError that names the key."""
+    if not key.startswith("effects."):
+        return value_at(twin, key, "parameters")
+    known = _of_effects(twin)
+    if key not in known:
+        raise InputError("parameters", key, "the twin has no such effect parameter")
+    return known[key]
 
 
 def has_number(twin: Twin, key: str) -> bool:
@@ -189,8 +195,10 @@ def has_number(twin: Twin, key: str) -> bool:
 
 def pack(twin: Twin) -> Floats:
     """(P,) the twin's numbers in the order of ``layout(twin).names``, SI units."""
-    shape = layout(twin)
-    return np.array([_value(twin, shape, key) for key in shape.names])
+    names, effects = layout(twin).names, _of_effects(twin)
+    return np.array(
+        [effects[key] if key in effects else value_at(twin, key) for key in names], dtype=np.float64
+    )
 
 
 def lanes(twin: Twin, keys: Sequence[str], values: Floats) -> Floats:

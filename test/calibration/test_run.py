@@ -24,7 +24,8 @@ from suspension_twin.inference.gauss_newton import GaussNewton, GaussNewtonSetti
 from suspension_twin.inference.noise import Whitener
 from suspension_twin.inference.observation import observe
 from suspension_twin.inference.problem import Problem
-from suspension_twin.inference.space import curve_keys, twin_value
+from suspension_twin.inference.space import curve_keys
+from suspension_twin.models.parameters import twin_value
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.twin import load_twin, save_twin
 

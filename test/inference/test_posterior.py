@@ -26,9 +26,9 @@ from suspension_twin.inference.posterior import (
 )
 from suspension_twin.inference.problem import Data, Likelihood, Linearised, Problem
 from suspension_twin.inference.runs import observe_runs
-from suspension_twin.inference.space import Curve, Space, twin_value
+from suspension_twin.inference.space import Curve, Space
 from suspension_twin.inference.spring_position import slides
-from suspension_twin.models.parameters import Parameter, Prior
+from suspension_twin.models.parameters import Parameter, Prior, twin_value
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.twin import Twin, load_twin
 

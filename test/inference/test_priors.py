@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from suspension_twin.errors import InputError
 from suspension_twin.inference.priors import PRIORS, TwinPrior, prior_of
-from suspension_twin.inference.space import twin_value
+from suspension_twin.models.parameters import twin_value
 from suspension_twin.vehicle.tracked import BOUNDS
 from suspension_twin.vehicle.twin import Twin, load_twin
 

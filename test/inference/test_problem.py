@@ -21,8 +21,8 @@ from suspension_twin.inference.nuisance import NuisancePriors, Nuisances
 from suspension_twin.inference.objectives import Measured, Objective, Term
 from suspension_twin.inference.observation import Observation, observe
 from suspension_twin.inference.problem import Data, Interrupted, Problem, segments_of
-from suspension_twin.inference.space import twin_value
 from suspension_twin.inference.spring_position import slides, standing_at
+from suspension_twin.models.parameters import twin_value
 from suspension_twin.signals.coarse_alignment import coarse_lag
 
 

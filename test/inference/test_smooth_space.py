@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from suspension_twin.calibration.presets import build_space, preset_named
 from suspension_twin.inference.smooth_space import FEW_POINTS, KNOTS, SmoothSpace, smooth_space
-from suspension_twin.inference.space import CURVES, Space, curve_keys, twin_value
-from suspension_twin.models.parameters import Parameter, Prior
+from suspension_twin.inference.space import CURVES, Space, curve_keys
+from suspension_twin.models.parameters import Parameter, Prior, twin_value
 from suspension_twin.vehicle.twin import Twin
 
 CAR = [key for key in CURVES if ".front." in key or ".rear." in key]

@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from suspension_twin.errors import InputError
-from suspension_twin.inference.space import Curve, Space, bounds_of, curve_keys, twin_value
-from suspension_twin.models.parameters import Parameter, Prior
+from suspension_twin.inference.space import Curve, Space, bounds_of, curve_keys
+from suspension_twin.models.parameters import Parameter, Prior, twin_value
 from suspension_twin.vehicle.twin import Twin, load_twin
 
 

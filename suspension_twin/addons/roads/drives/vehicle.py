@@ -34,8 +34,7 @@ from suspension_twin.addons.roads.drives.inverse import Inverse
 from suspension_twin.addons.roads.drives.passes import banded
 from suspension_twin.arrays import Floats
 from suspension_twin.inference.priors import TwinPrior, prior_of
-from suspension_twin.inference.space import twin_value
-from suspension_twin.models.parameters import Parameter
+from suspension_twin.models.parameters import Parameter, twin_value
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = [
