@@ -175,8 +175,9 @@ def force_error_along(result: CalibrationResult, truth: Twin, index: int) -> flo
     _, axle, part = curve.key.split(".")
     x, force = getattr(getattr(truth.vehicle, axle), part).points
     low, high = curve.span
-    inside = (curve.grid >= max(low, 1e-3)) & (curve.grid <= high)
-    true = np.interp(curve.grid[inside], np.concatenate([[0.0], x]), np.concatenate([[0.0], force]))
+    grid = curve.band.x
+    inside = (grid >= max(low, 1e-3)) & (grid <= high)
+    true = np.interp(grid[inside], np.concatenate([[0.0], x]), np.concatenate([[0.0], force]))
     return float(np.median(np.abs(curve.force[inside] / true - 1)))
 
 

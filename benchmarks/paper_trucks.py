@@ -260,8 +260,8 @@ def _error(result: CalibrationResult, truth: Twin, key: str) -> float:
     """Median relative error of a curve's force over the range that the drive excited; NaN without any."""
     curve = next(c for c in result.curves if c.key == key)
     _, axle, part = key.split(".")
-    inside = (curve.grid >= max(curve.span[0], 1e-3)) & (curve.grid <= curve.span[1])
+    inside = (curve.band.x >= max(curve.span[0], 1e-3)) & (curve.band.x <= curve.span[1])
     if not inside.any():
         return float("nan")
-    real = force(getattr(getattr(truth.vehicle, axle), part).points, curve.grid[inside])
+    real = force(getattr(getattr(truth.vehicle, axle), part).points, curve.band.x[inside])
     return float(np.median(np.abs(curve.force[inside] / real - 1.0)))

@@ -28,19 +28,40 @@ PAPER_CURVE: Final = 4  # which the paper recommends over all speeds
 
 @dataclass(frozen=True)
 class Selection:
-    """``table`` (dampings, speeds) rad², NaN where a run diverged; within ``low`` to ``high`` km/h ``mean`` and
-    ``regret`` (dampings,): the largest variance over the least of all dampings at that speed. ``best`` has the
-    least mean; ``near`` are the dampings whose mean is within a tenth of it."""
+    """Variances of the pitch, ``table`` (dampings, speeds) rad², NaN where a run diverged, and the damping to take from
+    ``low`` to ``high`` km/h."""
 
     dampings: tuple[float, ...]
     speeds: tuple[float, ...]
     table: Floats
     low: float
     high: float
-    mean: Floats
-    regret: Floats
-    best: int
-    near: tuple[int, ...]
+
+    @property
+    def _within(self) -> Floats:
+        """The table's columns from ``low`` to ``high``."""
+        return self.table[:, [self.low <= v <= self.high for v in self.speeds]]
+
+    @property
+    def mean(self) -> Floats:
+        """(dampings,) mean variance within the range."""
+        return np.asarray(self._within.mean(axis=1))
+
+    @property
+    def regret(self) -> Floats:
+        """(dampings,) largest variance over the least of all dampings at that speed."""
+        return np.asarray((self._within / np.nanmin(self._within, axis=0)).max(axis=1))
+
+    @property
+    def best(self) -> int:
+        """The damping of least mean."""
+        return int(np.nanargmin(self.mean))
+
+    @property
+    def near(self) -> tuple[int, ...]:
+        """Dampings whose mean is within a tenth of the least."""
+        mean = self.mean
+        return tuple(int(i) for i in np.flatnonzero(mean <= 1.1 * mean[self.best]))
 
 
 def pitch_variances(
@@ -73,15 +94,9 @@ def select_damping(
     ``tell`` as for :func:`pitch_variances`. Raises InputError where no speed of the table lies within, WorkError
     where every damping diverged.
     """
-    within = np.array([low <= v <= high for v in SPEEDS])
-    if not within.any():
+    if not any(low <= v <= high for v in SPEEDS):
         raise InputError("--range", f"no speed of 5, 10 ... 55 km/h lies between {low:g} and {high:g}")
-    table = pitch_variances(vehicle, tell=tell)
-    part = table[:, within]
-    mean = part.mean(axis=1)
-    if np.isnan(mean).all():
+    found = Selection(DAMPINGS, SPEEDS, pitch_variances(vehicle, tell=tell), low, high)
+    if np.isnan(found.mean).all():
         raise WorkError("damping: every damping diverged within the range")
-    regret = (part / np.nanmin(part, axis=0)).max(axis=1)
-    best = int(np.nanargmin(mean))
-    near = tuple(int(i) for i in np.flatnonzero(mean <= 1.1 * mean[best]))
-    return Selection(DAMPINGS, SPEEDS, table, low, high, mean, regret, best, near)
+    return found

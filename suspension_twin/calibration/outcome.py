@@ -41,21 +41,8 @@ def unfinished(request: CalibrationRequest, twin: Twin, seconds: float) -> Calib
         preset=request.preset,
         objective=request.objective,
         seed=request.seed,
-        estimates=(),
-        nuisances=(),
-        sensor=(),
-        curves=(),
-        drives=(),
-        cost=float("nan"),
-        initial_cost=float("nan"),
-        distance=float("nan"),
-        initial_distance=float("nan"),
-        evaluations=0,
-        generations=0,
-        history=np.empty((0, 4)),
-        stopped=True,
         seconds=seconds,
-        warnings=(),
+        stopped=True,
     )
 
 
@@ -104,7 +91,6 @@ def conclude(recorder: Recorder, outcome: SearchOutcome, start: float, began: fl
         distance=nan if stopped else paper_distance(setup, twin),
         initial_distance=nan if stopped else paper_distance(setup, setup.original),
         evaluations=evaluations,
-        generations=recorder.generations,
         history=np.array(recorder.history).reshape(-1, 4),
         stopped=stopped,
         seconds=time.monotonic() - began,
@@ -114,12 +100,14 @@ def conclude(recorder: Recorder, outcome: SearchOutcome, start: float, began: fl
 
 def _settled(outcome: SearchOutcome, objective: Objective, found: Uncertainty) -> SearchOutcome:
     """The outcome at the coordinates that the uncertainty was taken around, if those are its search's."""
-    if outcome.x is None or (outcome.likelihood is None and np.array_equal(outcome.x, found.x)):
+    squares = outcome.squares
+    if squares is None or (squares.likelihood is None and np.array_equal(squares.x, found.x)):
         return outcome
     d, space = len(found.space), outcome.problem.space
     values = np.clip(found.space.from_slopes(found.x[:d]), space.lower, space.upper)
     cost = float(costs_of(outcome.problem, objective, values[:, None], found.x[d:])[0])
-    return replace(outcome, values=values, nuisance=found.x[d:] + outcome.placed, x=found.x, cost=cost)
+    settled = replace(squares, x=found.x)
+    return replace(outcome, values=values, nuisance=found.x[d:] + outcome.placed, squares=settled, cost=cost)
 
 
 def _remarks(drives: tuple[DriveFit, ...], setup: Setup, values: Floats) -> list[str]:
@@ -161,7 +149,6 @@ def _absorbed(found: Uncertainty | None) -> list[str]:
 def _estimates(setup: Setup, values: Floats, found: Uncertainty | None) -> tuple[Estimate, ...]:
     space = setup.space
     bound = space.on_bound(values)
-    upper_half = values > 0.5 * (space.lower + space.upper)
     unknown = np.full(len(space), float("nan"))
     low, high = (found.low, found.high) if found else (unknown, unknown)
     status = found.status if found else ("not identified",) * len(space)
@@ -174,7 +161,6 @@ def _estimates(setup: Setup, values: Floats, found: Uncertainty | None) -> tuple
             high=float(high[i]),
             lower=float(space.lower[i]),
             upper=float(space.upper[i]),
-            on_bound=("upper" if upper_half[i] else "lower") if bound[i] else "",
             status="on bound" if bound[i] else status[i],
         )
         for i, key in enumerate(space.keys)

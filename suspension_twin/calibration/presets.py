@@ -42,29 +42,41 @@ TABLE_2: Mapping[str, tuple[tuple[float, ...], tuple[tuple[float, float], ...]]]
 _POINT_FACTOR, _POINT_SPREAD = 20.0, 0.5
 
 
-@dataclass(frozen=True)
-class Preset:
-    """``search`` "genetic" (GA, then pattern search) or "squares" (Gauss-Newton, CMA-ES where the objective
-    is no sum of squares). ``synchronise``: each candidate is aligned in time on its own before it is
-    judged, as the car paper does; otherwise offsets are unknowns like others. ``also``: what is free beside
-    the points of the characteristics; ``keys``: what is free instead, of a vehicle that has it. ``slowest``: of
-    controlled runs the slowest are fitted alone, the others validate. ``reach``: by which
-    factor a point may move either way where nobody gave bounds."""
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """How candidates are judged. ``synchronise``: each candidate is aligned in time on its own before it is judged, as
+    the car paper does; otherwise offsets are unknowns like others. ``slowest``: of controlled runs the slowest are
+    fitted alone, the others validate."""
+
+    objective: str
+    channels: Mapping[str, float]
+    synchronise: bool
+    slowest: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class FreeNumbers:
+    """What is free: the points of the characteristics, on the car paper's ``table_2``, and ``also`` these keys; or
+    ``keys`` instead, of a vehicle that has them. ``reach``: by which factor a point may move either way where nobody
+    gave bounds."""
+
+    table_2: bool
+    also: tuple[str, ...] = ()
+    keys: tuple[str, ...] = ()
+    reach: float = _POINT_FACTOR
+
+
+@dataclass(frozen=True, kw_only=True)
+class Preset(Comparison, FreeNumbers):
+    """A ready way to calibrate. ``search`` "genetic" (GA, then pattern search) or "squares" (Gauss-Newton, CMA-ES where
+    the objective is no sum of squares)."""
 
     name: str
     about: str
     search: Literal["genetic", "squares"]
-    objective: str
-    channels: Mapping[str, float]
-    synchronise: bool
-    table_2: bool
     genetic: GaSettings = field(default_factory=GaSettings)
     pattern: PatternSettings = field(default_factory=PatternSettings)
     squares: GaussNewtonSettings = field(default_factory=lambda: GaussNewtonSettings(tolerance=1e-4))
-    also: tuple[str, ...] = ()
-    keys: tuple[str, ...] = ()
-    slowest: bool = False
-    reach: float = _POINT_FACTOR
 
 
 #: Weight 0 stands for "by the channels' floors": each counts in units of its own noise.

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,25 +19,32 @@ from suspension_twin.inference.noise import Whitener
 from suspension_twin.inference.observation import content_digest
 from suspension_twin.inference.problem import Interrupted, Problem
 
-__all__ = ["Recorder", "SearchOutcome", "fingerprint"]
+__all__ = ["Recorder", "SearchOutcome", "SquaresFit", "fingerprint"]
 
 _SAVE_EVERY = 5  # generations
 
 
+@dataclass(frozen=True, eq=False)
+class SquaresFit:
+    """Where least squares ended: the solver's coordinates ``x`` (d + q,), the ``likelihood`` that it was fitted by in
+    the end, if any, and the weight of the prior beside the objective."""
+
+    x: Floats
+    likelihood: Whitener | None
+    prior_weight: float
+
+
 @dataclass
 class SearchOutcome:
-    """Where a search ended: the ``values`` (d,), the nuisances (q,) with the share of them that is
-    ``placed`` (simulated, not interpolated), and for least squares the solver's coordinates ``x`` and the
-    weight that the prior had beside the objective (0: the search knew no prior)."""
+    """Where a search ended: the ``values`` (d,), the nuisances (q,) with the share of them that is ``placed``
+    (simulated, not interpolated), and the fit of least squares; None of a search that knew no prior."""
 
     values: Floats
     nuisance: Floats
     cost: float
     problem: Problem
     placed: Floats
-    x: Floats | None = None
-    likelihood: Whitener | None = None
-    prior_weight: float = 0.0
+    squares: SquaresFit | None = None
     stopped: bool = False
 
 
@@ -49,34 +56,35 @@ def fingerprint(request: CalibrationRequest, setup: Setup) -> str:
     return content_digest(__version__, asked, twin, data.measured.values, excitations)
 
 
-@dataclass
 class Recorder:
     """One calibration under way. ``history`` rows: evaluations, best cost, mean cost, 0 search or 1 refine.
 
     ``resumed`` is the state found on disk, until its stage takes it.
     """
 
-    request: CalibrationRequest
-    setup: Setup
-    on_progress: Callable[[Progress], None]
-    should_stop: Callable[[], bool]
-    store: Checkpoint | None
-    history: list[tuple[float, float, float, float]] = field(default_factory=list)
-    generations: int = 0
-    evaluations: int = 0
-    resumed: State | None = None
-    _started: float = field(default_factory=time.monotonic)
-    _begun: int = 0
-    _saved: int = 0
-
-    def __post_init__(self) -> None:
-        if self.store is not None:
-            self.resumed = self.store.load()
+    def __init__(
+        self,
+        request: CalibrationRequest,
+        setup: Setup,
+        on_progress: Callable[[Progress], None],
+        should_stop: Callable[[], bool],
+        store: Checkpoint | None,
+    ) -> None:
+        self.request, self.setup = request, setup
+        self.on_progress, self.should_stop, self.store = on_progress, should_stop, store
+        self.history: list[tuple[float, float, float, float]] = []
+        self.evaluations = 0
+        self.resumed = None if store is None else store.load()
         if self.resumed is not None:
             rows = self.resumed.arrays["history"]
             self.history = [(float(a), float(b), float(c), float(d)) for a, b, c, d in rows]
-            self.evaluations = self._begun = int(self.resumed.plain["all_evaluations"])
-            self.generations = self._saved = int(self.resumed.plain["all_generations"])
+            self.evaluations = int(self.resumed.plain["all_evaluations"])
+        self._started, self._begun, self._saved = time.monotonic(), self.evaluations, self.generations
+
+    @property
+    def generations(self) -> int:
+        """How many are over."""
+        return len(self.history)
 
     @property
     def objective(self) -> str:
@@ -94,7 +102,6 @@ class Recorder:
 
     def report(self, refine: bool, best: float, mean: float, expected: float) -> None:
         """A generation is over; ``expected`` evaluations in all."""
-        self.generations += 1
         self.history.append((float(self.evaluations), best, mean, float(refine)))
         done = max(self.evaluations - self._begun, 1)
         left = (time.monotonic() - self._started) / done * max(expected - self.evaluations, 0.0)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,13 +21,17 @@ if TYPE_CHECKING:
 
 __all__ = [
     "STATUSES",
+    "Band",
     "CalibrationRequest",
     "CalibrationResult",
     "CurveEstimate",
     "DriveFit",
+    "DriveSignals",
     "Estimate",
+    "Estimates",
     "NuisanceEstimate",
     "Progress",
+    "SearchSummary",
     "SensorEstimate",
 ]
 
@@ -112,8 +116,8 @@ class Progress:
 class Estimate:
     """One parameter found, in the units of the twin file.
 
-    ``low`` and ``high`` bound its 90 % interval, NaN where none could be had; ``on_bound`` "lower",
-    "upper" or "". ``status`` (one of ``STATUSES``; the criterion is in ``calibration.uncertainty``):
+    ``low`` and ``high`` bound its 90 % interval, NaN where none could be had; ``lower`` and ``upper`` are the bounds of
+    the search. ``status`` (one of ``STATUSES``; the criterion is in ``calibration.uncertainty``):
 
     - ``identified``: the data carry at least as much information on it as its prior;
     - ``extrapolated``: it follows identified neighbours on its characteristic by the prior of smooth slopes;
@@ -129,8 +133,14 @@ class Estimate:
     high: float
     lower: float
     upper: float
-    on_bound: str = ""
     status: str = "identified"
+
+    @property
+    def on_bound(self) -> str:
+        """The bound that it is on: "lower", "upper" or ""."""
+        if self.status != "on bound":
+            return ""
+        return "upper" if self.value > 0.5 * (self.lower + self.upper) else "lower"
 
 
 @dataclass(frozen=True)
@@ -165,36 +175,54 @@ class SensorEstimate:
 
 
 @dataclass(frozen=True, eq=False)
-class CurveEstimate:
-    """A characteristic with its band: ``grid`` (g,) abscissae, ``force``, ``low``, ``high``, ``start`` (g,) N;
-    ``span`` the range that the drives excited, m or m/s (NaN, NaN where nothing was).
+class Band:
+    """An interval around a characteristic: abscissae (g,) m or m/s, lowest and highest force (g,) in N."""
 
-    A spring has ``static``, its compression at rest in m (else NaN), and ``rest_low``, ``rest_high`` (g,) N over
-    ``rest_grid`` (g,) m of travel from there, which do not depend on where its free length lies.
+    x: Floats
+    low: Floats
+    high: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class CurveEstimate:
+    """A characteristic: its ``band``, ``force`` and ``start`` (g,) N over the band's abscissae; ``span`` the range that
+    the drives excited, m or m/s (NaN, NaN where nothing was).
+
+    A spring has ``static``, its compression at rest in m (else NaN), and ``from_rest`` the band over the travel from
+    there, which does not depend on where its free length lies.
     """
 
     key: str
     unit: str
-    grid: Floats
+    band: Band
     force: Floats
-    low: Floats
-    high: Floats
     start: Floats
     span: tuple[float, float]
     static: float
-    rest_grid: Floats
-    rest_low: Floats
-    rest_high: Floats
+    from_rest: Band | None
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class DriveFit:
-    """One drive or run, compared: gaps over the whole of it in its main ``channel``, and every channel (m,) on its grid
-    ``t``.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DriveSignals:
+    """Every channel (m,) of one drive at stamps ``t`` (m,) s of an even ``rate`` Hz and at the ``position`` (m,) m
+    along the road: measured, and of the twin ``before`` and ``after``; ``compared`` (m,) are the samples of the
+    objective."""
 
-    ``before`` and ``after`` are the signals of the twin before and after; ``nuisance_free`` is the residual's rms in
-    m/s² on the compared samples (``compared`` (m,)) with the nuisances corrected. ``profile`` are
-    distances (k,) m along the road and the heights (k, 2) m of the left and right track.
+    rate: float
+    t: Floats
+    position: Floats
+    measured: dict[str, Floats]
+    before: dict[str, Floats]
+    after: dict[str, Floats]
+    compared: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class DriveFit(DriveSignals):
+    """One drive or run, compared: gaps over the whole of it in its main ``channel``, and its signals.
+
+    ``nuisance_free`` is the residual's rms in m/s² on the compared samples with the nuisances corrected. ``profile``
+    are distances (k,) m along the road and the heights (k, 2) m of the left and right track.
     """
 
     name: str
@@ -203,52 +231,60 @@ class DriveFit:
     gap_after: Gap
     nuisance_free: float
     correlation: float
-    rate: float
-    t: Floats
-    position: Floats
     profile: tuple[Floats, Floats]
-    measured: dict[str, Floats]
-    before: dict[str, Floats]
-    after: dict[str, Floats]
-    compared: NDArray[np.bool_]
 
     def __repr__(self) -> str:
         gaps = f"{self.gap_before.rms:.4g} to {self.gap_after.rms:.4g} {channel_unit(self.channel)}"
         return f"{self.name}: gap in {self.channel.replace('_', ' ')} {gaps} rms"
 
 
-@dataclass(frozen=True, eq=False)
-class CalibrationResult:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SearchSummary:
+    """A search that is over, and its ``seconds``. ``cost`` and ``initial_cost`` (of the start, moved into bounds) are
+    of the ``objective`` that was searched and compare with no other objective's. ``history`` (k, 4): evaluations, best
+    cost, mean cost and stage number (0 search, 1 refine) after each generation."""
+
+    preset: str
+    objective: str
+    seed: int
+    seconds: float
+    cost: float = float("nan")
+    initial_cost: float = float("nan")
+    evaluations: int = 0
+    history: Floats = field(default_factory=lambda: np.empty((0, 4)))
+
+    @property
+    def generations(self) -> int:
+        """How many generations were searched."""
+        return len(self.history)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Estimates:
+    """Everything that was estimated: parameters of the twin, nuisances, the sensor and whole characteristics."""
+
+    estimates: tuple[Estimate, ...] = ()
+    nuisances: tuple[NuisanceEstimate, ...] = ()
+    sensor: tuple[SensorEstimate, ...] = ()
+    curves: tuple[CurveEstimate, ...] = ()
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class CalibrationResult(SearchSummary, Estimates):
     """``twin`` calibrated from ``start``.
 
-    ``cost`` and ``initial_cost`` (of the start, moved into the bounds) are of the ``objective`` that was searched
-    and compare with no other objective's.
     ``distance`` and ``initial_distance`` are the same for every preset: the car paper's eq. (1), the Euclidean
     distance in m/s² between measured and simulated vertical acceleration over the compared samples, each drive
-    aligned in time and no other nuisance corrected. ``history`` (k, 4): evaluations, best cost, mean cost and
-    stage number (0 search, 1 refine) after each generation. ``stopped``: this is the best until the stop, without
+    aligned in time and no other nuisance corrected. ``stopped``: this is the best until the stop, without
     intervals, drives and distances."""
 
     twin: Twin
     start: Twin
-    preset: str
-    objective: str
-    seed: int
-    estimates: tuple[Estimate, ...]
-    nuisances: tuple[NuisanceEstimate, ...]
-    sensor: tuple[SensorEstimate, ...]
-    curves: tuple[CurveEstimate, ...]
-    drives: tuple[DriveFit, ...]
-    cost: float
-    initial_cost: float
-    distance: float
-    initial_distance: float
-    evaluations: int
-    generations: int
-    history: Floats
     stopped: bool
-    seconds: float
-    warnings: tuple[str, ...]
+    drives: tuple[DriveFit, ...] = ()
+    distance: float = float("nan")
+    initial_distance: float = float("nan")
+    warnings: tuple[str, ...] = ()
 
     @property
     def counts(self) -> dict[str, int]:
@@ -304,4 +340,5 @@ class CalibrationResult:
     def to_frame(self) -> DataFrame:
         """A table of pandas, a row for each parameter: start, value, 90 % interval, bounds and status."""
         names = [f.name for f in fields(Estimate)]
+        names.insert(-1, "on_bound")
         return table({name: [getattr(e, name) for e in self.estimates] for name in names}, "key")

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.calibration.recorder import Recorder, SearchOutcome
+from suspension_twin.calibration.recorder import Recorder, SearchOutcome, SquaresFit
 from suspension_twin.calibration.searches import costs_of
 from suspension_twin.calibration.setup import Setup
 from suspension_twin.inference.checkpoint import State
@@ -107,10 +107,8 @@ def run_squares(recorder: Recorder) -> SearchOutcome:
         stopped = True
     values = fit.base.space.from_slopes(fit.x[: fit.d])
     nuisance = fit.x[fit.d :] + fit.placed
-    weight = 1.0 if fit.balanced else _FAINT
-    return SearchOutcome(
-        values, nuisance, fit.cost, fit.problem, fit.placed, fit.x, fit.likelihood, weight, stopped=stopped
-    )
+    squares = SquaresFit(fit.x, fit.likelihood, 1.0 if fit.balanced else _FAINT)
+    return SearchOutcome(values, nuisance, fit.cost, fit.problem, fit.placed, squares, stopped)
 
 
 class _Fit:

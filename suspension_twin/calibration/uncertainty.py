@@ -26,7 +26,7 @@ from scipy.special import chdtri, ndtri
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.presets import PRESETS, build_space
 from suspension_twin.calibration.recorder import SearchOutcome
-from suspension_twin.calibration.request import CurveEstimate
+from suspension_twin.calibration.request import Band, CurveEstimate
 from suspension_twin.calibration.setup import Setup
 from suspension_twin.calibration.squares import in_floors
 from suspension_twin.inference.gauss_newton import GaussNewton, GaussNewtonSettings
@@ -88,9 +88,17 @@ def assess(setup: Setup, outcome: SearchOutcome, seed: int) -> Uncertainty:
         x = _polished(problem, weighing, found.better, precision, outcome.placed)
     status = np.where(_identified(found.covariance, precision)[:d], "identified", "not identified")
     absorbed = np.full(d, np.nan)
-    if outcome.prior_weight > 0:
+    if outcome.squares is not None:
+        weight = outcome.squares.prior_weight
         status, absorbed, held = _settle(
-            problem, outcome, weighing, x=x, covariance=found.covariance, precision=precision, status=status
+            problem,
+            outcome,
+            weighing,
+            x=x,
+            covariance=found.covariance,
+            precision=precision,
+            weight=weight,
+            status=status,
         )
         if held is not x:
             x = held
@@ -110,19 +118,20 @@ def _best_fit(
 ) -> tuple[Floats, Whitener | ScaledObjective, Floats | None]:
     """Coordinates (d + q,) of the fit that the posterior is taken around, what weighs its residuals, and the
     standard deviation (d + q,) that model discrepancy adds, or None where the residual is noise."""
-    if outcome.x is not None and outcome.likelihood is not None:
-        x = _polished(problem, outcome.likelihood, outcome.x, precision, outcome.placed)
-        return x, outcome.likelihood, None
+    ended = outcome.squares
+    if ended is not None and ended.likelihood is not None:
+        x = _polished(problem, ended.likelihood, ended.x, precision, outcome.placed)
+        return x, ended.likelihood, None
     start = np.concatenate([problem.space.to_slopes(outcome.values), outcome.nuisance - outcome.placed])
-    x = start if outcome.x is None else outcome.x
+    x = start if ended is None else ended.x
     x = _polished(problem, _likelihood_at(problem, x), x, precision, outcome.placed)
     likelihood = _likelihood_at(problem, x)
     x = _polished(problem, likelihood, x, precision, outcome.placed)
-    if outcome.x is None and in_floors(setup, problem, _compared(problem, x)) < NEAR_FLOOR:
+    if ended is None and in_floors(setup, problem, _compared(problem, x)) < NEAR_FLOOR:
         return x, likelihood, None
     objective = _least_squares(setup.objective)
-    squares = ScaledObjective.at(objective, _compared(problem, x if outcome.x is None else outcome.x))
-    fit = _polished(problem, squares, x, precision, outcome.placed) if outcome.x is None else outcome.x
+    squares = ScaledObjective.at(objective, _compared(problem, x if ended is None else ended.x))
+    fit = _polished(problem, squares, x, precision, outcome.placed) if ended is None else ended.x
     return fit, squares, x - fit
 
 
@@ -141,6 +150,7 @@ def _settle(
     x: Floats,
     covariance: Floats,
     precision: Floats,
+    weight: float,
     status: NDArray[np.str_],
 ) -> tuple[NDArray[np.str_], Floats, Floats]:
     """Status (d,), absorbed values (d,) and coordinates (d + q,) of the fit with the kept parameters at their start
@@ -163,8 +173,7 @@ def _settle(
             at = x.copy()
             at[:d][keep] = z0[keep]
             fixed = np.append(keep, np.zeros(x.size - d, dtype=bool))
-            weighted = outcome.prior_weight * precision
-            at = _polished(outcome.problem, weighing, at, weighted, outcome.placed, fixed)
+            at = _polished(outcome.problem, weighing, at, weight * precision, outcome.placed, fixed)
         return at, float(fit.sums_of_squares(at[:, None])[0])
 
     kept = status == "kept"
@@ -239,30 +248,23 @@ def _curve(setup: Setup, twin: Twin, found: Uncertainty, curve: Curve) -> CurveE
     for i, row in free:
         draws[i] = found.posterior.draws[row]
     low, high = np.quantile(_interpolated(grid, curve.x, draws), INTERVAL, axis=1)
-    static, nothing = float("nan"), np.empty(0)
-    rest = (nothing, nothing, nothing)
+    static, from_rest = float("nan"), None
     if curve.part == "spring" and np.isfinite(span[0]):
         static = found.where.static[curve.axle]
-        rest = _from_rest(curve.x, value, draws, static, span)
+        from_rest = _from_rest(curve.x, value, draws, static, span)
     return CurveEstimate(
         key=curve.key,
         unit=curve.unit,
-        grid=grid,
+        band=Band(grid, low, high),
         force=_interpolated(grid, curve.x, value[:, None])[:, 0],
-        low=low,
-        high=high,
         start=_interpolated(grid, before_x, before[:, None])[:, 0],
         span=span,
         static=static,
-        rest_grid=rest[0],
-        rest_low=rest[1],
-        rest_high=rest[2],
+        from_rest=from_rest,
     )
 
 
-def _from_rest(
-    x: Floats, force: Floats, draws: Floats, static: float, span: tuple[float, float]
-) -> tuple[Floats, Floats, Floats]:
+def _from_rest(x: Floats, force: Floats, draws: Floats, static: float, span: tuple[float, float]) -> Band:
     """Band over the travel from standstill: each draw counted from where it bears the same load."""
     load = float(_interpolated(np.array([static]), x, force[:, None])[0, 0])
     travel = np.linspace(span[0] - static, span[1] - static, _GRID)
@@ -270,7 +272,7 @@ def _from_rest(
     thinned = slice(0, None, 4)
     forces = _interpolated(travel[:, None] + place[thinned], x, draws[:, thinned])
     low, high = np.quantile(forces, INTERVAL, axis=1)
-    return travel, low, high
+    return Band(travel, low, high)
 
 
 def _place_of(load: float, x: Floats, force: Floats) -> Floats:

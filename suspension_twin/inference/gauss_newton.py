@@ -17,7 +17,7 @@ batch, not by candidate: every iteration tries several dampings in one batch and
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, Protocol
 
 import numpy as np
@@ -27,6 +27,7 @@ from suspension_twin.files import Json
 
 __all__ = [
     "WHITENED",
+    "Descent",
     "GaussNewton",
     "GaussNewtonSettings",
     "Quadratic",
@@ -138,8 +139,21 @@ def bounded_step(hessian: Floats, gradient: Floats, low: Floats, high: Floats) -
     return steps
 
 
+@dataclass(kw_only=True)
+class Descent:
+    """State of a minimisation beside its point: the current ``damping``, the ``cost`` with the prior and the sum of
+    squares ``fit`` without it, iterations so far and ``calm`` ones in a row."""
+
+    damping: float = 0.0
+    cost: float = np.inf
+    fit: float = np.inf
+    iteration: int = 0
+    calm: int = 0
+    finished: bool = False
+
+
 @dataclass
-class GaussNewton:
+class GaussNewton(Descent):
     """One minimisation from ``x`` (p,) with the prior's ``precision`` (p, p) about ``centre`` (p,), within ``low`` and
     ``high`` (p,), where there are any."""
 
@@ -150,12 +164,6 @@ class GaussNewton:
     low: Floats | None = None
     high: Floats | None = None
     settings: GaussNewtonSettings = field(default_factory=GaussNewtonSettings)
-    damping: float = 0.0
-    cost: float = np.inf
-    fit: float = np.inf
-    iteration: int = 0
-    calm: int = 0
-    finished: bool = False
 
     def __post_init__(self) -> None:
         if self.damping == 0.0:
@@ -253,8 +261,8 @@ class GaussNewton:
 
     def state(self) -> tuple[dict[str, Floats], Json]:
         """Arrays and plain values for ``restore``."""
-        names = ("damping", "cost", "fit", "iteration", "calm", "finished")
-        return {"x": self.x, "centre": self.centre}, {name: getattr(self, name) for name in names}
+        plain = {f.name: getattr(self, f.name) for f in fields(Descent)}
+        return {"x": self.x, "centre": self.centre}, plain
 
     def restore(self, arrays: Mapping[str, Floats], plain: Mapping[str, Any]) -> None:
         """Continue where ``state`` was taken."""

@@ -57,32 +57,54 @@ _SLOWEST = 0.5  # m/s: below this a place on the road says nothing of a time
 
 
 @dataclass(frozen=True)
-class NuisancePriors:
-    """Prior standard deviations of nuisance parameters; 0 leaves one out.
-
-    ``clock`` s of each drive, ``common_clock`` s of all of them, ``map_position`` m of all, ``drive_map`` m of
-    each, ``wander`` m (the GNSS position's own error, one value for every pass and ``wander_seconds``; None takes
-    it from the fixes' covariance), ``gain`` of the accelerometer, ``tilt`` rad, ``force_bias`` m/s², ``rate_bias``
-    rad/s, ``pivot`` m (how far a real suspension's kinematics shift the axes about which the body rolls and
-    pitches), ``slip`` rad per m/s² (slip angle of the rear tyres: a heading that is taken from the course differs by
-    it), ``mount`` of the share (f / 70 Hz)² by which an elastic mount of the sensor amplifies vertical motion at f,
-    ``speed`` share by which a run was driven faster than stated, its time stretched.
-    """
+class ClockPriors:
+    """Standard deviations of the offset between the clocks of IMU and receiver: ``clock`` s of each drive,
+    ``common_clock`` s of all of them; ``speed`` share by which a run was driven faster than stated, its time
+    stretched."""
 
     clock: float = 0.1
     common_clock: float = 0.0
+    speed: float = 0.0
+
+
+@dataclass(frozen=True)
+class MapPriors:
+    """Standard deviations of the place on the map along the road: ``map_position`` m of all drives, ``drive_map`` m of
+    each, ``wander`` m (the GNSS position's own error, one value for every pass and ``wander_seconds``; None takes
+    it from the fixes' covariance)."""
+
     map_position: float = 0.5
+    drive_map: float = 0.0
     wander: float | None = None
     wander_seconds: float = 8.0
+
+
+@dataclass(frozen=True)
+class MountingPriors:
+    """Standard deviations of the IMU and its mounting: ``gain`` of the accelerometer, ``tilt`` rad, ``force_bias``
+    m/s², ``rate_bias`` rad/s, ``mount`` of the share (f / 70 Hz)² by which an elastic mount of the sensor amplifies
+    vertical motion at f."""
+
     gain: float = 0.01
     tilt: float = 0.02
     force_bias: float = 0.05
     rate_bias: float = 0.01
+    mount: float = 0.0
+
+
+@dataclass(frozen=True)
+class KinematicPriors:
+    """Standard deviations of the vehicle's kinematics that no model has: ``pivot`` m (how far a real suspension's
+    kinematics shift the axes about which the body rolls and pitches), ``slip`` rad per m/s² (slip angle of the rear
+    tyres: a heading that is taken from the course differs by it)."""
+
     pivot: float = 0.0
     slip: float = 0.0
-    mount: float = 0.0
-    drive_map: float = 0.0
-    speed: float = 0.0
+
+
+@dataclass(frozen=True)
+class NuisancePriors(ClockPriors, MapPriors, MountingPriors, KinematicPriors):
+    """Prior standard deviations of nuisance parameters; 0 leaves one out."""
 
     def without(self, keys: Iterable[str]) -> NuisancePriors:
         """Those of ``keys`` (``nuisances.gain``) left out; raises InputError for one that is not known."""

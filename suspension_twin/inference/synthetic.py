@@ -28,10 +28,10 @@ __all__ = ["SensorErrors", "path_along", "synthetic_drive"]
 
 
 @dataclass(frozen=True)
-class SensorErrors:
-    """A phone and an RTK receiver. Noise as standard deviations: ``force`` m/s², ``rate`` rad/s,
-    ``position`` m, ``velocity`` m/s; biases in sensor axes; ``jitter`` s of the IMU's stamps;
-    ``lost`` share of its samples; rates in Hz; ``clock_offset`` s of the IMU stamps (positive: later)."""
+class ImuErrors:
+    """Errors of a phone's IMU: standard deviations of the noise in ``force`` m/s² and ``rate`` rad/s; biases in sensor
+    axes; ``jitter`` s of the stamps; ``lost`` share of the samples; ``imu_rate`` Hz; ``clock_offset`` s of the stamps
+    (positive: later)."""
 
     force: float = 0.05
     rate: float = 0.003
@@ -40,10 +40,22 @@ class SensorErrors:
     jitter: float = 3e-4
     lost: float = 0.0
     imu_rate: float = 100.0
-    gps_rate: float = 10.0
+    clock_offset: float = 0.0
+
+
+@dataclass(frozen=True)
+class ReceiverErrors:
+    """Errors of an RTK receiver: standard deviations of ``position`` m and ``velocity`` m/s; ``gps_rate`` Hz."""
+
     position: float = 0.01
     velocity: float = 0.02
-    clock_offset: float = 0.0
+    gps_rate: float = 10.0
+
+
+@dataclass(frozen=True)
+class SensorErrors(ReceiverErrors, ImuErrors):
+    """Errors of a phone and of an RTK receiver in a recording that begins at ``start``, UTC in s."""
+
     start: float = 1_700_000_000.0
 
 

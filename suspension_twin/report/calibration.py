@@ -11,10 +11,10 @@ from scipy.ndimage import uniform_filter1d
 
 from suspension_twin.arrays import Floats, runs
 from suspension_twin.calibration.labels import parameter_label, parameter_unit
-from suspension_twin.calibration.request import CalibrationResult, CurveEstimate, DriveFit
+from suspension_twin.calibration.request import Band, CalibrationResult, CurveEstimate, DriveFit
 from suspension_twin.inference.gap import channel_unit
 from suspension_twin.report import plots
-from suspension_twin.report.characteristics import AxleEvidence, Band, characteristics
+from suspension_twin.report.characteristics import AxleEvidence, characteristics
 from suspension_twin.report.page import Cell, Mark, Page, Section, Table, short
 from suspension_twin.signals.metrics import (
     correlation,
@@ -312,8 +312,8 @@ def _evidence(result: CalibrationResult, axle: str, from_rest: bool) -> AxleEvid
         excited = spring.span
     if from_rest:
         band = excited = None
-        if spring is not None and math.isfinite(spring.static):
-            band = Band(spring.rest_grid, spring.rest_low, spring.rest_high)
+        if spring is not None and spring.from_rest is not None:
+            band = spring.from_rest
             excited = (spring.span[0] - spring.static, spring.span[1] - spring.static)
         unidentified = [(kind, x) for kind, x in unidentified if kind != "spring"]
     return AxleEvidence(
@@ -330,8 +330,9 @@ def _band(curve: CurveEstimate | None, reach: float = math.inf) -> Band | None:
     """The band up to ``reach`` times the farthest that was excited."""
     if curve is None:
         return None
-    near = curve.grid <= (reach * curve.span[1] if math.isfinite(curve.span[1]) else math.inf)
-    return Band(curve.grid[near], curve.low[near], curve.high[near])
+    band = curve.band
+    near = band.x <= (reach * curve.span[1] if math.isfinite(curve.span[1]) else math.inf)
+    return Band(band.x[near], band.low[near], band.high[near])
 
 
 def _velocity(curves: dict[str, CurveEstimate]) -> tuple[float, float] | None:

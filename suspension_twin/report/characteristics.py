@@ -12,11 +12,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from suspension_twin.arrays import Floats
+from suspension_twin.calibration.request import Band
 from suspension_twin.report import style
 from suspension_twin.report.style import COLOURS, LINES
 from suspension_twin.vehicle.twin import Suspension
 
-__all__ = ["AxleEvidence", "Band", "HasAxles", "characteristics", "force"]
+__all__ = ["AxleEvidence", "HasAxles", "characteristics", "force"]
 
 
 class HasAxles(Protocol):
@@ -24,15 +25,6 @@ class HasAxles(Protocol):
 
     @property
     def axles(self) -> Mapping[str, Suspension]: ...
-
-
-@dataclass(frozen=True)
-class Band:
-    """An interval around a characteristic: abscissae (k,), lowest and highest force (k,) in N."""
-
-    x: Floats
-    low: Floats
-    high: Floats
 
 
 @dataclass(frozen=True)

@@ -136,7 +136,7 @@ def test_what_the_drive_did_not_reach_is_extrapolated_with_a_wide_interval(fast:
     last = {e.key: e for e in result.estimates}["vehicle.front.spring.force.3"]
     assert last.status == "extrapolated" and last.high > 1.3 * last.low
     assert last.start / 1.5 < last.value < last.start * 1.5
-    assert all(np.all(c.low <= c.high) and np.all(np.diff(c.force) >= 0) for c in result.curves)
+    assert all(np.all(c.band.low <= c.band.high) and np.all(np.diff(c.force) >= 0) for c in result.curves)
 
 
 def test_an_inertia_that_the_drive_does_not_excite_stays_at_its_start(pass_case: Any, tmp_path: Path) -> None:

@@ -35,7 +35,7 @@ CHANNELS = (
 )
 FORCES = CHANNELS[:3]
 RATE = 100.0
-NOTHING = NuisancePriors(0, 0, 0, 0, 8.0, 0, 0, 0, 0, 0, 0, 0, 0, 0)
+NOTHING = NuisancePriors(**{f.name: 0.0 for f in fields(NuisancePriors)} | {"wander_seconds": 8.0})
 #: A deviation for each, all different.
 EVERY = NuisancePriors(
     clock=0.1,

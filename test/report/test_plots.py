@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from suspension_twin.calibration.request import Band
 from suspension_twin.report import plots, style
 from suspension_twin.report.characteristics import (
     AxleEvidence,
-    Band,
     characteristics,
     force,
 )

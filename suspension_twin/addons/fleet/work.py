@@ -322,10 +322,10 @@ def _calibrated(task: Task, inputs: _Inputs) -> Record:
 
 def _damper(curve: CurveEstimate) -> Record | None:
     """Force of a damper at :data:`VELOCITY`; None for a spring, and where the drives did not excite it so far."""
-    if ".damper_" not in curve.key or not curve.grid[0] <= VELOCITY <= curve.grid[-1]:
+    if ".damper_" not in curve.key or not curve.band.x[0] <= VELOCITY <= curve.band.x[-1]:
         return None
     force, low, high = (
-        float(np.interp(VELOCITY, curve.grid, c)) for c in (curve.force, curve.low, curve.high)
+        float(np.interp(VELOCITY, curve.band.x, c)) for c in (curve.force, curve.band.low, curve.band.high)
     )
     return _health(f"{curve.key}@{VELOCITY:g}", (force, low, high), "N", bool(curve.span[1] >= VELOCITY))
 
