@@ -9,21 +9,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError, WorkError
+from suspension_twin.inference.priors import TABLES
 from suspension_twin.models.tracked import simulate_tracked_lanes
 from suspension_twin.vehicle.tracked import TrackedVehicle
 
 __all__ = ["DAMPINGS", "DURATION", "PAPER_CURVE", "SPEEDS", "Selection", "pitch_variances", "select_damping"]
 
-DAMPINGS: Final = (0.0, 11272.0, 22545.0, 45090.0, 90180.0, 135270.0, 180360.0)  # N m s/rad, Table 1
-SPEEDS: Final = tuple(float(v) for v in range(5, 56, 5))  # km/h
-DURATION: Final = 15.0  # s
-PAPER_CURVE: Final = 4  # which the paper recommends over all speeds
+#: Dampings in N m s/rad, speeds in km/h, s of a run, and the number of the damping that the paper recommends over all
+#: speeds.
+DAMPINGS, SPEEDS = TABLES.damping.dampings, TABLES.damping.speeds
+DURATION, PAPER_CURVE = TABLES.damping.duration, TABLES.damping.recommended
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from suspension_twin.calibration.request import DriveFit
 from suspension_twin.calibration.searches import costs_of
 from suspension_twin.calibration.setup import Setup, problem_of
 from suspension_twin.inference.gap import main_channel
-from suspension_twin.inference.nuisance import NuisancePriors
+from suspension_twin.inference.nuisance import OF_A_CALIBRATION
 from suspension_twin.inference.objectives import Term
 from suspension_twin.inference.observation import Observation, observe
 from suspension_twin.inference.problem import Data, Interrupted
@@ -92,7 +92,7 @@ def paper_distance(setup: Setup, twin: Twin) -> float:
         return float("nan")
     data, distance = setup.problem.data, (Term("euclidean", "vertical_acceleration"),)
     problem, objective = problem_of(
-        twin, Space(twin, ()), data, distance, replace(NuisancePriors(), wander=0.0)
+        twin, Space(twin, ()), data, distance, replace(OF_A_CALIBRATION, wander=0.0)
     )
     nothing = np.zeros((0, 1))
     return float(costs_of(problem, objective, nothing, np.zeros(problem.q), synchronise=True)[0])

@@ -171,20 +171,6 @@ def _nuisances(outcome: SearchOutcome, found: Uncertainty | None) -> tuple[Nuisa
     nuisances = outcome.problem.nuisances
     sigma = found.posterior.sigma if found else np.full(len(nuisances), float("nan"))
     return tuple(
-        NuisanceEstimate(name, float(value), float(s), float(prior), _unit(name))
-        for name, value, s, prior in zip(
-            nuisances.names, outcome.nuisance, sigma, nuisances.spread, strict=True
-        )
+        NuisanceEstimate(p.key, float(value), float(s), p.prior.spread, p.unit)
+        for p, value, s in zip(nuisances.parameters, outcome.nuisance, sigma, strict=True)
     )
-
-
-def _unit(name: str) -> str:
-    if name == "gain" or name.endswith(".speed"):
-        return ""
-    if name.startswith("tilt"):
-        return "rad"
-    if name.endswith("clock_offset"):
-        return "s"
-    if ".bias." in name:
-        return "m/s²" if name.endswith("acceleration") else "rad/s"
-    return "m"

@@ -14,32 +14,21 @@ from suspension_twin.calibration.pattern import PatternSettings
 from suspension_twin.effects.registry import effect
 from suspension_twin.errors import InputError, nearest
 from suspension_twin.inference.gauss_newton import GaussNewtonSettings
-from suspension_twin.inference.priors import prior_of
+from suspension_twin.inference.priors import TABLES, PointBounds, prior_of
 from suspension_twin.inference.space import CURVES, Space, bounds_of, curve_keys
-from suspension_twin.models.parameters import Parameter, Prior, layout, twin_value
+from suspension_twin.models.parameters import Parameter, layout, twin_value
 from suspension_twin.models.registry import model_of
 from suspension_twin.vehicle.tracked import BOUNDS
 from suspension_twin.vehicle.twin import EffectSpec, Twin
 
 __all__ = ["PRESETS", "TABLE_2", "Preset", "build_space", "preset_named", "with_effects", "with_table_2"]
 
-_SPRING = ((500.0, 5000.0), (5000.0, 9000.0), (9000.0, 15000.0), (15000.0, 50000.0))
-_PUSH = ((40.0, 1000.0), (1000.0, 3000.0), (3000.0, 5000.0), (5000.0, 8000.0))
-_PULL = ((500.0, 2000.0), (2000.0, 3000.0), (3000.0, 5000.0), (5000.0, 6000.0))
-_COMPRESSION = (0.1, 0.3, 0.5, 1.0)
-_VELOCITY = (0.125, 0.25, 0.35, 0.4)
-
 #: The car paper's Table 2: for each characteristic its abscissae (m, m/s) and the bounds (N) of each point.
 TABLE_2: Mapping[str, tuple[tuple[float, ...], tuple[tuple[float, float], ...]]] = {
-    "vehicle.front.spring": (_COMPRESSION, _SPRING),
-    "vehicle.rear.spring": (_COMPRESSION, _SPRING),
-    "vehicle.front.damper_push": (_VELOCITY, _PUSH),
-    "vehicle.front.damper_pull": (_VELOCITY, _PULL),
-    "vehicle.rear.damper_push": (_VELOCITY, _PUSH),
-    "vehicle.rear.damper_pull": (_VELOCITY, _PULL),
+    key: (part.x, part.bounds)
+    for name, part in TABLES.table_2.parts.items()
+    for key in (f"vehicle.front.{name}", f"vehicle.rear.{name}")
 }
-
-_POINT_FACTOR, _POINT_SPREAD = 20.0, 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +52,7 @@ class FreeNumbers:
     table_2: bool
     also: tuple[str, ...] = ()
     keys: tuple[str, ...] = ()
-    reach: float = _POINT_FACTOR
+    reach: float = TABLES.point.reach
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,9 +123,9 @@ def preset_named(name: str) -> Preset:
     return PRESETS[name]
 
 
-def _of_table_2(curve: str) -> tuple[tuple[float, ...], tuple[tuple[float, float], ...]]:
-    """Abscissae and bounds of a characteristic; a single corner has those of the front."""
-    return TABLE_2.get(curve) or TABLE_2[curve.replace("vehicle.", "vehicle.front.", 1)]
+def _of_table_2(curve: str) -> PointBounds:
+    """Abscissae and bounds of a characteristic."""
+    return TABLES.table_2.parts[curve.rpartition(".")[2]]
 
 
 def with_table_2(twin: Twin) -> Twin:
@@ -145,7 +134,7 @@ def with_table_2(twin: Twin) -> Twin:
     for key in CURVES:
         if not curve_keys(twin, [key]):
             continue
-        abscissae, _ = _of_table_2(key)
+        abscissae = _of_table_2(key).x
         part = key.rpartition(".")[2]
         x, force = twin_value(twin, key).points
         slope = (force[-1] - (force[-2] if x.size > 1 else 0.0)) / (x[-1] - (x[-2] if x.size > 1 else 0.0))
@@ -234,9 +223,9 @@ def _parameter(twin: Twin, key: str, preset: Preset, bounds: Mapping[str, tuple[
     curve, _, index = key.rpartition(".force.")
     if curve in CURVES:
         if given is None and preset.table_2:
-            given = _of_table_2(curve)[1][int(index)]
+            given = _of_table_2(curve).bounds[int(index)]
         low, high = given or (nominal / preset.reach, max(nominal * preset.reach, 1.0))
-        return Parameter(key, (low, high), Prior(nominal, _POINT_SPREAD, "log"))
+        return TABLES.point.about(key, nominal, (low, high))
     if key.startswith("effects."):
         _, name, parameter = key.split(".")
         return effect(name, twin.model).parameter(parameter).about(key, nominal, given)
@@ -244,9 +233,7 @@ def _parameter(twin: Twin, key: str, preset: Preset, bounds: Mapping[str, tuple[
     if prior is None:
         if given is None:
             raise InputError("free parameters", key, "needs bounds: nothing is known of how far it may go")
-        if given[0] > 0 and nominal > 0:
-            return Parameter(key, given, Prior(nominal, 0.3, "log"))
-        return Parameter(key, given, Prior(nominal, 0.25 * (given[1] - given[0])))
+        return TABLES.unlisted.about(key, nominal, given)
     return prior.about(key, nominal, given)
 
 

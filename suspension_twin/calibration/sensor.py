@@ -32,7 +32,7 @@ from suspension_twin.calibration.request import SensorEstimate
 from suspension_twin.calibration.setup import Setup, problem_of
 from suspension_twin.calibration.uncertainty import HALF_WIDTH, Uncertainty
 from suspension_twin.inference.nuisance import (
-    NUISANCES,
+    OF_A_CALIBRATION,
     NuisancePriors,
     map_spread,
     slow_position_error,
@@ -49,7 +49,7 @@ _CP_PENALTY = 2.0
 #: Channels in which gravity shows a tilt of the sensor: about which axis, and the sign of what it adds.
 _GRAVITY = {"lateral_acceleration": ("roll", 1.0), "longitudinal_acceleration": ("pitch", -1.0)}
 _AXES = [1, 0]  # of these channels in base_link
-_NONE = NuisancePriors(wander=0.0).without(NUISANCES)
+_NONE = NuisancePriors()
 #: s: two periods of a body on its springs (1 Hz), beyond which residuals are independent.
 _BLOCK = 2.0
 #: Standard deviations beyond which a map's offset contradicts its prior: the usual gate of three.
@@ -131,7 +131,7 @@ def _by_gravity(setup: Setup, outcome: SearchOutcome) -> dict[str, tuple[float, 
     size = max(1, round(_BLOCK * problem.measured.rate))
     starts = np.concatenate([np.arange(s.start, s.stop, size) for s in problem.measured.segments])
     count = np.diff(np.append(starts, len(residual)))
-    bias, found = NuisancePriors().force_bias, {}
+    bias, found = OF_A_CALIBRATION.force_bias, {}
     for channel, (axis, sign) in enumerate(_GRAVITY.values()):
         means = (np.add.reduceat(v[:, channel], starts) / count for v in (residual, simulated))
         offset, variance = _offset(*means)

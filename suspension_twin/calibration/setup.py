@@ -18,7 +18,7 @@ from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
 from suspension_twin.inference.excited_segments import TrimSettings, fit_rows, trim
 from suspension_twin.inference.gap import CHANNELS
-from suspension_twin.inference.nuisance import NuisancePriors, slow_position_error
+from suspension_twin.inference.nuisance import OF_A_CALIBRATION, NuisancePriors, slow_position_error
 from suspension_twin.inference.objectives import Objective, Term, parse_objective
 from suspension_twin.inference.observation import (
     Observation,
@@ -89,7 +89,7 @@ def set_up(
     twin = with_table_2(original) if preset.table_2 else original
     bounds = {key: (low, high) for key, low, high in request.bounds}
     nuisances = [k for k in request.freeze if k.startswith("nuisances.")]
-    priors = NuisancePriors().without(nuisances)
+    priors = OF_A_CALIBRATION.without(nuisances)
     frozen = [k for k in request.freeze if k not in nuisances]
     space = build_space(twin, preset, request.free, also=request.also, freeze=frozen, bounds=bounds)
     if model_of(twin).recordings != "drive":

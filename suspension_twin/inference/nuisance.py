@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
+from suspension_twin.inference.priors import TABLES
 from suspension_twin.inference.sensor_reading import read_alike, read_any, read_steady
 from suspension_twin.models.parameters import Parameter, Prior
 from suspension_twin.models.sensor_chain import TABLE
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "NUISANCES",
+    "OF_A_CALIBRATION",
     "OF_A_DRIVE",
     "OF_A_RIG",
     "OF_A_RUN",
@@ -62,7 +64,7 @@ class ClockPriors:
     ``common_clock`` s of all of them; ``speed`` share by which a run was driven faster than stated, its time
     stretched."""
 
-    clock: float = 0.1
+    clock: float = 0.0
     common_clock: float = 0.0
     speed: float = 0.0
 
@@ -73,9 +75,9 @@ class MapPriors:
     each, ``wander`` m (the GNSS position's own error, one value for every pass and ``wander_seconds``; None takes
     it from the fixes' covariance)."""
 
-    map_position: float = 0.5
+    map_position: float = 0.0
     drive_map: float = 0.0
-    wander: float | None = None
+    wander: float | None = 0.0
     wander_seconds: float = 8.0
 
 
@@ -85,10 +87,10 @@ class MountingPriors:
     m/s², ``rate_bias`` rad/s, ``mount`` of the share (f / 70 Hz)² by which an elastic mount of the sensor amplifies
     vertical motion at f."""
 
-    gain: float = 0.01
-    tilt: float = 0.02
-    force_bias: float = 0.05
-    rate_bias: float = 0.01
+    gain: float = 0.0
+    tilt: float = 0.0
+    force_bias: float = 0.0
+    rate_bias: float = 0.0
     mount: float = 0.0
 
 
@@ -104,7 +106,8 @@ class KinematicPriors:
 
 @dataclass(frozen=True)
 class NuisancePriors(ClockPriors, MapPriors, MountingPriors, KinematicPriors):
-    """Prior standard deviations of nuisance parameters; 0 leaves one out."""
+    """Prior standard deviations of nuisance parameters; 0 leaves one out. Those by kind of recording are in
+    ``priors.yaml``."""
 
     def without(self, keys: Iterable[str]) -> NuisancePriors:
         """Those of ``keys`` (``nuisances.gain``) left out; raises InputError for one that is not known."""
@@ -119,32 +122,13 @@ class NuisancePriors(ClockPriors, MapPriors, MountingPriors, KinematicPriors):
         return replace(self, **gone)
 
 
-#: s by which the clocks of two cameras are off, and share by which a driver misses a speed: of a controlled run.
-OF_A_RUN = NuisancePriors(
-    clock=0.015, map_position=0.0, gain=0.0, tilt=0.0, force_bias=0.0, rate_bias=0.0, wander=0.0, speed=0.01
-)
-#: s between the clocks of an actuator and of transducers that one device samples, filters of theirs included.
-OF_A_RIG = replace(OF_A_RUN, clock=0.001, speed=0.0)
-#: Of a drive with a known road and a calibrated twin. A larger error of clock, map or mount is an effect.
-#: An RTK position is accurate to a centimetre, a part of which is constant over a drive (``drive_map``).
-#: The gain is fixed: that of a phone is within 0.5 %, and a free gain would absorb model discrepancy.
-OF_A_DRIVE = NuisancePriors(
-    clock=0.0005,
-    common_clock=0.002,
-    map_position=0.02,
-    gain=0.0,
-    tilt=0.009,
-    force_bias=0.05,
-    rate_bias=0.005,
-    pivot=0.3,
-    mount=1.0,
-    drive_map=0.006,
-)
-#: Of a drive without a road: what clock and mounting are is then the very question, and nothing else shows it.
-#: Rear tyres of cars slip by about 0.005 rad for each m/s²; a course that lags by that would pass for a clock's.
-OF_PLANAR_MOTION = replace(
-    OF_A_DRIVE.without(("clock_offset", "map_position", "tilt")), pivot=0.0, slip=0.005, drive_map=0.0
-)
+def _of(recording: str) -> NuisancePriors:
+    """The priors of a kind of recording."""
+    return NuisancePriors(**{name: getattr(prior, recording) for name, prior in TABLES.nuisances.items()})
+
+
+OF_A_CALIBRATION, OF_A_DRIVE, OF_PLANAR_MOTION = _of("calibration"), _of("drive"), _of("planar_motion")
+OF_A_RUN, OF_A_RIG = _of("run"), _of("rig")
 
 
 class Nuisances:
@@ -167,40 +151,45 @@ class Nuisances:
         parameters: list[Parameter] = []
         channels = tuple(channels)
 
-        def add(name: str, sigma: float, least: float = -np.inf) -> None:
+        def add(name: str, kind: str, sigma: float, least: float = -np.inf) -> None:
             if sigma > 0:
-                parameters.append(Parameter(name, (least, np.inf), Prior(0.0, sigma)))
+                prior, unit = Prior(0.0, sigma), TABLES.nuisances[kind].unit
+                parameters.append(Parameter(name, (least, np.inf), prior, unit))
 
-        add("map_position", priors.map_position)
-        add("clock_offset", priors.common_clock)
+        add("map_position", "map_position", priors.map_position)
+        add("clock_offset", "common_clock", priors.common_clock)
         if self._force.any():
-            add("gain", priors.gain)
-        add("tilt_roll", priors.tilt)
-        add("tilt_pitch", priors.tilt)
+            add("gain", "gain", priors.gain)
+        add("tilt_roll", "tilt", priors.tilt)
+        add("tilt_pitch", "tilt", priors.tilt)
         #: Channel -> nuisance, the channel whose slope it adds, and its sign.
         self._levers = {}
-        for c, name, other, sign, sigma in (
-            ("longitudinal_acceleration", "pivot_pitch", "pitch_rate", -1.0, priors.pivot),
-            ("lateral_acceleration", "pivot_roll", "roll_rate", 1.0, priors.pivot),
-            ("yaw_rate", "rear_slip", "lateral_acceleration", 1.0, priors.slip),
+        for c, name, other, sign, kind in (
+            ("longitudinal_acceleration", "pivot_pitch", "pitch_rate", -1.0, "pivot"),
+            ("lateral_acceleration", "pivot_roll", "roll_rate", 1.0, "pivot"),
+            ("yaw_rate", "rear_slip", "lateral_acceleration", 1.0, "slip"),
         ):
+            sigma = getattr(priors, kind)
             if sigma > 0 and c in self.channels and other in self.channels:
                 self._levers[c] = (name, channels.index(other), sign)
-                add(name, sigma)
+                add(name, kind, sigma)
         self._mounted = (
             self.channels.index("vertical_acceleration") if "vertical_acceleration" in self.channels else -1
         )
         if self._mounted >= 0:
-            add("mount", priors.mount, least=0.0)  # below its resonance an elastic mount amplifies motion
+            add(
+                "mount", "mount", priors.mount, least=0.0
+            )  # below its resonance an elastic mount amplifies motion
         drives: dict[int, str] = {}
         for part, drive in zip(parts, drive_of, strict=True):
             if drive not in drives:
                 drives[drive] = part.name
-                add(f"{part.name}.clock_offset", priors.clock)
-                add(f"{part.name}.speed", priors.speed)
-                add(f"{part.name}.map_position", priors.drive_map)
+                add(f"{part.name}.clock_offset", "clock", priors.clock)
+                add(f"{part.name}.speed", "speed", priors.speed)
+                add(f"{part.name}.map_position", "drive_map", priors.drive_map)
                 for channel, force in zip(self.channels, self._force, strict=True):
-                    add(f"{part.name}.bias.{channel}", priors.force_bias if force else priors.rate_bias)
+                    kind = "force_bias" if force else "rate_bias"
+                    add(f"{part.name}.bias.{channel}", kind, getattr(priors, kind))
         #: (m, C) of every part: the response to the planar motion alone; neither clock nor map shifts it.
         self.planar_response: tuple[Floats, ...] = ()
         self._knots: list[Floats] = []
@@ -208,7 +197,7 @@ class Nuisances:
             knots = _knots(part, priors.wander_seconds) if wander[drive] > 0 else np.empty(0)
             self._knots.append(knots)
             for k in range(knots.size):
-                add(f"{part.name}.wander.{number}.{k}", wander[drive])
+                add(f"{part.name}.wander.{number}.{k}", "wander", wander[drive])
         self.parameters = tuple(parameters)
         self.names = tuple(p.key for p in parameters)
         self.spread = np.array([p.prior.spread for p in parameters])
@@ -364,7 +353,7 @@ def map_spread(drives: Sequence[Observation]) -> float:
     The mean of drives goes no further than the receiver says of single fixes: that is the limit, three spreads.
     """
     given = [d.position_sigma for d in drives if d.position_sigma > 0]
-    return max(float(np.mean(given)) / 3.0, _MAP_LEAST) if given else NuisancePriors.map_position
+    return max(float(np.mean(given)) / 3.0, _MAP_LEAST) if given else OF_A_CALIBRATION.map_position
 
 
 def _knots(part: Observation, seconds: float) -> Floats:

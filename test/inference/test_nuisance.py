@@ -14,6 +14,7 @@ from suspension_twin.drive.read import read_drive
 from suspension_twin.errors import InputError
 from suspension_twin.inference.nuisance import (
     NUISANCES,
+    OF_A_CALIBRATION,
     OF_A_DRIVE,
     OF_A_RIG,
     OF_A_RUN,
@@ -35,7 +36,7 @@ CHANNELS = (
 )
 FORCES = CHANNELS[:3]
 RATE = 100.0
-NOTHING = NuisancePriors(**{f.name: 0.0 for f in fields(NuisancePriors)} | {"wander_seconds": 8.0})
+NOTHING = NuisancePriors()
 #: A deviation for each, all different.
 EVERY = NuisancePriors(
     clock=0.1,
@@ -321,7 +322,7 @@ def test_all_together_in_all_lanes(lanes: int, one_given: bool, along: Any, alik
 def test_lanes_of_other_clocks_and_maps_without_levers(along: Any) -> None:
     """The population of a search: a shift for each lane, which at a changing speed changes over the drive."""
     part = part_of(along=along)
-    n = Nuisances([part], [0], FORCES, NuisancePriors(tilt=0.0), [0.0])
+    n = Nuisances([part], [0], FORCES, replace(OF_A_CALIBRATION, tilt=0.0), [0.0])
     rng = np.random.default_rng(2)
     values = {
         "map_position": np.array([0.0, 0.3, -0.2, 0.25]),
@@ -501,19 +502,20 @@ def kinds(priors: NuisancePriors, wander: float = 0.0) -> set[str]:
 
 def test_a_calibration_has_the_nuisances_of_its_documentation() -> None:
     """Clock, map, gain, tilt and bias; of a controlled run clock and speed; on a rig the clock alone."""
-    assert kinds(NuisancePriors()) == {"clock_offset", "map_position", "gain", "tilt", "bias"}
-    assert NuisancePriors().wander is None
+    assert kinds(NOTHING) == set()
+    assert kinds(OF_A_CALIBRATION) == {"clock_offset", "map_position", "gain", "tilt", "bias"}
+    assert OF_A_CALIBRATION.wander is None
     assert kinds(OF_A_RUN) == {"clock_offset", "speed"}
     assert kinds(OF_A_RIG) == {"clock_offset"}
     assert OF_A_RUN.wander == OF_A_RIG.wander == 0.0
-    assert OF_A_RIG.clock < OF_A_RUN.clock < NuisancePriors().clock
+    assert OF_A_RIG.clock < OF_A_RUN.clock < OF_A_CALIBRATION.clock
     assert 0 < OF_A_RUN.speed < 0.1
 
 
 def test_a_known_road_and_a_calibrated_twin_leave_less() -> None:
     """Clock, map and mount of a drive are known better than before a calibration; the gain is fixed. Without a road
     clock, map and mount are the question, and tyres slip."""
-    start = NuisancePriors()
+    start = OF_A_CALIBRATION
     assert OF_A_DRIVE.gain == 0.0 and OF_A_DRIVE.speed == 0.0 and OF_A_DRIVE.slip == 0.0
     assert 0 < OF_A_DRIVE.clock < OF_A_DRIVE.common_clock < start.clock
     assert 0 < OF_A_DRIVE.drive_map < OF_A_DRIVE.map_position < start.map_position
@@ -538,7 +540,7 @@ def test_the_map_is_off_by_a_third_of_a_fix() -> None:
     assert map_spread(drives(0.6)) == pytest.approx(0.2)
     assert map_spread(drives(0.6, 1.8)) == pytest.approx(0.4)
     assert map_spread(drives(0.6, 0.0)) == pytest.approx(0.2)
-    assert map_spread(drives(0.0)) == map_spread([]) == NuisancePriors().map_position
+    assert map_spread(drives(0.0)) == map_spread([]) == OF_A_CALIBRATION.map_position
     least = map_spread(drives(1e-6))
     assert map_spread(drives(1e-9)) == least and 0 < least < 0.01
     assert map_spread(drives(3.3 * least)) == pytest.approx(1.1 * least)

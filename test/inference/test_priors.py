@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from suspension_twin.errors import InputError
-from suspension_twin.inference.priors import PRIORS, TwinPrior, prior_of
+from suspension_twin.inference.priors import PRIORS, TABLES, TwinPrior, prior_of
 from suspension_twin.models.parameters import twin_value
 from suspension_twin.vehicle.tracked import BOUNDS
 from suspension_twin.vehicle.twin import Twin, load_twin
@@ -27,10 +27,18 @@ PLACES = {
 }
 
 
+def made(
+    scale: Literal["linear", "log"], reach: float, bounds: tuple[float, float] | None = None
+) -> TwinPrior:
+    return TwinPrior(
+        keys=("vehicle.x",), unit="", source="a test", scale=scale, reach=reach, spread=0.1, bounds=bounds
+    )
+
+
 @settings(max_examples=30)
 @given(st.floats(1e-3, 1e6), st.floats(1.01, 10.0))
 def test_bounds_of_a_positive_number_are_a_factor_apart(nominal: float, reach: float) -> None:
-    low, high = TwinPrior("log", reach, 0.1).around(nominal)
+    low, high = made("log", reach).around(nominal)
     assert 0 < low < nominal < high
     assert nominal / low == pytest.approx(reach) and high / nominal == pytest.approx(reach)
 
@@ -38,15 +46,15 @@ def test_bounds_of_a_positive_number_are_a_factor_apart(nominal: float, reach: f
 @settings(max_examples=30)
 @given(st.floats(-1e3, 1e3), st.floats(0.01, 10.0))
 def test_bounds_of_a_place_are_a_distance_apart(nominal: float, reach: float) -> None:
-    low, high = TwinPrior("linear", reach, 0.1).around(nominal)
+    low, high = made("linear", reach).around(nominal)
     assert low < nominal < high
     assert nominal - low == pytest.approx(reach) and high - nominal == pytest.approx(reach)
 
 
 @pytest.mark.parametrize("scale", ["linear", "log"])
 def test_bounds_that_are_given_are_used_as_they_are(scale: Literal["linear", "log"]) -> None:
-    assert TwinPrior(scale, 2.0, 0.1, (3.0, 7.0)).around(5.0) == (3.0, 7.0)
-    assert TwinPrior(scale, 2.0, 0.1, (3.0, 7.0)).around(99.0) == (3.0, 7.0)
+    assert made(scale, 2.0, (3.0, 7.0)).around(5.0) == (3.0, 7.0)
+    assert made(scale, 2.0, (3.0, 7.0)).around(99.0) == (3.0, 7.0)
 
 
 @pytest.mark.parametrize("key", BOUNDS)
@@ -136,3 +144,20 @@ def test_values_of_known_vehicles_are_within_bounds(name: str, repository: Path)
         assert prior is not None
         low, high = prior.around(value)
         assert low < value < high, key
+
+
+def test_every_prior_and_table_has_its_source_and_what_has_a_unit_has_one() -> None:
+    priors = (*PRIORS.values(), TABLES.point, TABLES.whole.spring, TABLES.whole.damper)
+    assert all(p.source for p in (*priors, *TABLES.nuisances.values(), TABLES.unlisted, TABLES.tracked))
+    assert TABLES.table_2.source and TABLES.damping.source
+    for key in ("vehicle.mass", "vehicle.cog.2", "imu.position.0", *(f"vehicle.{k}" for k in BOUNDS)):
+        assert PRIORS[key].unit, key
+    assert prior_of("vehicle.mass").about("vehicle.mass", 1500.0).unit == "kg"  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("part", ["spring", "damper_push", "damper_pull"])
+def test_the_points_of_table_2_rise_and_their_bounds_do_not_overlap(part: str) -> None:
+    points = TABLES.table_2.parts[part]
+    assert len(points.x) == len(points.bounds) and list(points.x) == sorted(points.x)
+    ends = [end for pair in points.bounds for end in pair]
+    assert ends == sorted(ends)

@@ -17,7 +17,7 @@ from suspension_twin.drive.read import read_drive
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.inference.excited_segments import excited, fit_rows, trim
 from suspension_twin.inference.noise import Whitener, autoregression
-from suspension_twin.inference.nuisance import NuisancePriors, Nuisances
+from suspension_twin.inference.nuisance import OF_A_CALIBRATION, NuisancePriors, Nuisances
 from suspension_twin.inference.objectives import Measured, Objective, Term
 from suspension_twin.inference.observation import Observation, observe
 from suspension_twin.inference.problem import Data, Interrupted, Problem, segments_of
@@ -97,7 +97,7 @@ def test_nothing_is_compared_while_a_start_from_rest_is_forgotten(prepared: Obse
 
 
 def nuisances_of(prepared: Observation) -> Nuisances:
-    return Nuisances([prepared], [0], ("vertical_acceleration", "pitch_rate"), NuisancePriors(), [0.0])
+    return Nuisances([prepared], [0], ("vertical_acceleration", "pitch_rate"), OF_A_CALIBRATION, [0.0])
 
 
 def applied(n: Nuisances, prepared: Observation, signal: np.ndarray, **values: float) -> np.ndarray:
@@ -132,7 +132,7 @@ def test_each_nuisance_does_what_its_name_says(prepared: Observation) -> None:
 
 def test_what_a_drive_is_off_the_map_adds_to_what_all_are(prepared: Observation) -> None:
     channels = ("vertical_acceleration", "pitch_rate")
-    n = Nuisances([prepared], [0], channels, NuisancePriors(drive_map=0.006), [0.0])
+    n = Nuisances([prepared], [0], channels, replace(OF_A_CALIBRATION, drive_map=0.006), [0.0])
     wave = np.sin(2 * np.pi * 4.0 * (prepared.t - prepared.t[0]))
     signal = np.stack([wave, wave], axis=1)[:, :, None]
     assert n.spread[n.names.index("pass.map_position")] == 0.006
@@ -144,7 +144,7 @@ def test_what_a_drive_is_off_the_map_adds_to_what_all_are(prepared: Observation)
 @pytest.mark.parametrize("late", [0.0, 0.0137])
 def test_an_elastic_mount_amplifies_fast_motion(prepared: Observation, late: float) -> None:
     channels = ("vertical_acceleration", "pitch_rate")
-    n = Nuisances([prepared], [0], channels, NuisancePriors(mount=1.0), [0.0])
+    n = Nuisances([prepared], [0], channels, replace(OF_A_CALIBRATION, mount=1.0), [0.0])
     t = prepared.t - prepared.t[0]
     for hertz in (1.0, 8.0, 15.0):
         signal = np.repeat(np.sin(2 * np.pi * hertz * t)[:, None, None], 2, axis=1)
@@ -160,7 +160,7 @@ def test_an_elastic_mount_amplifies_fast_motion(prepared: Observation, late: flo
 
 
 def test_clock_and_map_do_not_shift_the_response_to_the_planar_motion(prepared: Observation) -> None:
-    n = Nuisances([prepared], [0], ("vertical_acceleration", "pitch_rate"), NuisancePriors(), [0.0])
+    n = Nuisances([prepared], [0], ("vertical_acceleration", "pitch_rate"), OF_A_CALIBRATION, [0.0])
     t = prepared.t - prepared.t[0]
     road, braking = np.sin(2 * np.pi * 4.0 * t), np.cos(2 * np.pi * 1.0 * t)
     n = n.with_planar_response([np.stack([braking, 0.5 * braking], axis=1)])
@@ -178,7 +178,7 @@ def test_clock_and_map_do_not_shift_the_response_to_the_planar_motion(prepared: 
 def test_lanes_together_are_lanes_alone(prepared: Observation, alike: int, carried: bool) -> None:
     """Lanes that share a shift go through other loops than one with its own; pivots, tilts, mounts included."""
     channels = ("vertical_acceleration", "longitudinal_acceleration", "pitch_rate")
-    n = Nuisances([prepared], [0], channels, NuisancePriors(pivot=0.3, mount=1.0), [0.0])
+    n = Nuisances([prepared], [0], channels, replace(OF_A_CALIBRATION, pivot=0.3, mount=1.0), [0.0])
     rng = np.random.default_rng(3)
     signal = rng.standard_normal((prepared.t.size, 3, 5))
     if carried:
@@ -198,7 +198,9 @@ def test_lanes_together_are_lanes_alone(prepared: Observation, alike: int, carri
 
 
 def test_a_wandering_receiver_gets_an_offset_of_its_own(prepared: Observation) -> None:
-    n = Nuisances([prepared], [0], ("vertical_acceleration",), NuisancePriors(wander_seconds=2.0), [0.4])
+    n = Nuisances(
+        [prepared], [0], ("vertical_acceleration",), replace(OF_A_CALIBRATION, wander_seconds=2.0), [0.4]
+    )
     knots = [name for name in n.names if ".wander." in name]
     assert len(knots) == 3 and n.spread[n.names.index(knots[0])] == 0.4
     t = prepared.t - prepared.t[0]
@@ -211,7 +213,9 @@ def test_a_wandering_receiver_gets_an_offset_of_its_own(prepared: Observation) -
 
 
 def test_a_clock_of_all_drives_adds_to_that_of_each(prepared: Observation) -> None:
-    n = Nuisances([prepared], [0], ("vertical_acceleration",), NuisancePriors(common_clock=0.002), [0.0])
+    n = Nuisances(
+        [prepared], [0], ("vertical_acceleration",), replace(OF_A_CALIBRATION, common_clock=0.002), [0.0]
+    )
     rows = np.arange(100, prepared.t.size - 100)
     signal = np.sin(2 * np.pi * 3.0 * prepared.t)[:, None, None]
     values = np.zeros((len(n), 3))
@@ -221,7 +225,7 @@ def test_a_clock_of_all_drives_adds_to_that_of_each(prepared: Observation) -> No
     np.testing.assert_allclose(out, out[:, :, :1].repeat(3, axis=2), atol=1e-12)
     with pytest.raises(AssertionError):
         np.testing.assert_allclose(out[:, :, 0], signal[rows, :, 0], atol=1e-3)
-    assert "clock_offset" not in Nuisances([prepared], [0], n.channels, NuisancePriors(), [0.0]).names
+    assert "clock_offset" not in Nuisances([prepared], [0], n.channels, OF_A_CALIBRATION, [0.0]).names
 
 
 @pytest.mark.parametrize("lanes", [2, 5])
@@ -229,7 +233,7 @@ def test_clocks_of_candidates_taken_together_are_those_taken_alone(prepared: Obs
     """Lanes that differ by their clocks alone go through a kernel of their own."""
     rng = np.random.default_rng(lanes)
     channels = ("vertical_acceleration", "pitch_rate")
-    n = Nuisances([prepared], [0], channels, NuisancePriors(), [0.0])
+    n = Nuisances([prepared], [0], channels, OF_A_CALIBRATION, [0.0])
     signals = rng.standard_normal((prepared.t.size, 2, lanes))
     values = n.spread[:, None] * rng.standard_normal((len(n), lanes))
     values[n.names.index("map_position")] = 0.0
@@ -486,7 +490,7 @@ def test_offsets_of_clock_and_map_move_the_excitation(problem: Problem) -> None:
         assert (part.road_excitation.road != given.road_excitation.road).any()
     assert own.data.parts == problem.data.parts and there.data.rows is own.data.rows
     np.testing.assert_array_equal(there.measured.values, own.measured.values)
-    blind = small(problem, priors=NuisancePriors(clock=0.0, map_position=0.0))
+    blind = small(problem, priors=replace(OF_A_CALIBRATION, clock=0.0, map_position=0.0))
     still = moved(blind, np.zeros(len(blind.nuisances)))
     for part, given in zip(still.data.parts, blind.data.parts, strict=True):
         np.testing.assert_array_equal(part.road_excitation.road, given.moved(0.0, 0.0).road_excitation.road)

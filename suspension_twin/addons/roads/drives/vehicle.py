@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from suspension_twin.addons.roads.drives.inverse import Inverse
 from suspension_twin.addons.roads.drives.passes import banded
 from suspension_twin.arrays import Floats
-from suspension_twin.inference.priors import TwinPrior, prior_of
+from suspension_twin.inference.priors import TABLES, TwinPrior, prior_of
 from suspension_twin.models.parameters import Parameter, twin_value
 from suspension_twin.vehicle.twin import Twin
 
@@ -62,17 +62,13 @@ def _of(key: str, prior: TwinPrior | None = None) -> Parameter:
     return prior.about(key, 1.0 if prior.scale == "log" else 0.0)
 
 
-#: Priors of springs and dampers as a whole, from passenger cars (Gillespie, Fundamentals of Vehicle Dynamics, 1992,
-#: chapter 5): ride frequencies of 1 to 1.5 Hz, which is about 20 % in stiffness; damping ratios of 0.2 to 0.4, and a
-#: worn damper less.
-_SPRING, _DAMPER = TwinPrior("log", 3.0, 0.2), TwinPrior("log", 3.0, 0.4)
 #: By name; of a damper both directions. The mass is not among them: a common factor of it and all of these but the last
 #: changes no motion on any road, so that they are found relative to the mass of the twin file.
 PARAMETERS: Final[Mapping[str, Parameter]] = {
-    "front springs": _of("vehicle.front.spring.force", _SPRING),
-    "rear springs": _of("vehicle.rear.spring.force", _SPRING),
-    "front dampers": _of("vehicle.front.damper_*.force", _DAMPER),
-    "rear dampers": _of("vehicle.rear.damper_*.force", _DAMPER),
+    "front springs": _of("vehicle.front.spring.force", TABLES.whole.spring),
+    "rear springs": _of("vehicle.rear.spring.force", TABLES.whole.spring),
+    "front dampers": _of("vehicle.front.damper_*.force", TABLES.whole.damper),
+    "rear dampers": _of("vehicle.rear.damper_*.force", TABLES.whole.damper),
     "tyre stiffness": _of("vehicle.tyre.vertical_stiffness"),
     "front unsprung mass": _of("vehicle.front.unsprung_mass"),
     "rear unsprung mass": _of("vehicle.rear.unsprung_mass"),
