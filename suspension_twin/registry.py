@@ -142,7 +142,8 @@ class Registry(Mapping[str, T], Generic[T]):
 
     @cached_property
     def _references(self) -> dict[str, str]:
-        return {**self._builtin, **_addons().get(self.group, {})}
+        added = _addons().get(self.group, {})
+        return {**self._builtin, **{n: r if ":" in r else f"{r}:{self._attribute}" for n, r in added.items()}}
 
     @cached_property
     def _plugins(self) -> dict[str, EntryPoint | PluginError]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Add-ons: live sources, roads from scans and drives, fleets, exports, the live view.
+"""Add-ons: live sources, roads from scans and drives, fleets, exports, the live view, vehicles in an FMU.
 
 The core imports none of them: :mod:`suspension_twin.registry` reads :data:`PLUGINS`, as it reads the entry points of
 other packages.
@@ -12,7 +12,7 @@ from typing import Final
 
 __all__ = ["PLUGINS"]
 
-#: By group and name the place of each object, ``module:attribute``.
+#: By group and name the place of each object: ``module:attribute``, or ``module`` with the attribute of its group.
 PLUGINS: Final[Mapping[str, Mapping[str, str]]] = {
     "commands": {
         "first-drive": f"{__name__}.cli:FIRST_DRIVE",
@@ -32,6 +32,7 @@ PLUGINS: Final[Mapping[str, Mapping[str, str]]] = {
         "view": f"{__name__}.cli.pages:Viewer",
         "foxglove": f"{__name__}.cli.pages:Foxglove",
     },
+    "models": {"fmu": f"{__name__}.fmu"},
     "fleets": {"live": f"{__name__}.cli.live_fleet:run_fleet"},
     "nodes": {
         "source": f"{__name__}.nodes.source:SourceNode",

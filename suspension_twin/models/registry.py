@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The vehicle models, found by the names of their files, behind one interface.
 
-A model is a module ``suspension_twin/models/<name>.py`` with an object ``MODEL``, or one of an installed package that
-its entry point in the group ``suspension_twin.models`` names; that one also has ``TWIN``, the class of its twin file
-(:data:`suspension_twin.vehicle.twin.SCHEMAS`). Whatever handles a twin (calibration, diagnosis, the nodes, the command
+A model is a module ``suspension_twin/models/<name>.py`` with an object ``MODEL``, or one of an add-on or an installed
+package that its entry point in the group ``suspension_twin.models`` names; that one also has ``TWIN``, the class of its
+twin file (:data:`suspension_twin.vehicle.twin.SCHEMAS`). Whatever handles a twin (calibration, diagnosis, the nodes, the command
 line) asks the registry for its model and never for the model's name.
 """
 
@@ -118,7 +118,7 @@ def deferred(module: str, name: str) -> Any:
 #: Models by the name that a twin file gives.
 MODELS: Final = Registry[Model](
     "models",
-    {name: f"{__package__}.{name}:MODEL" for name in ("full_car", "msd", "tracked", "quarter_car", "fmu")},
+    {name: f"{__package__}.{name}:MODEL" for name in ("full_car", "msd", "tracked", "quarter_car")},
     attribute="MODEL",
     kind=Model,
     identity="name",

@@ -22,7 +22,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.display import axes_or_new, bulleted
 from suspension_twin.errors import InputError, nearest, shown
 from suspension_twin.files import read_yaml, reading, write_text
-from suspension_twin.registry import Registry
+from suspension_twin.registry import Registry, missing_addons
 from suspension_twin.schema import Strict, checked, problems, within
 from suspension_twin.units import STANDARD_GRAVITY as G
 from suspension_twin.vehicle.corners import CORNERS, Joint
@@ -503,7 +503,6 @@ SCHEMAS: Final = Registry[type[Twin]](
         "msd": f"{__name__}:CarTwin",
         "tracked": f"{__package__}.tracked:TrackedTwin",
         "quarter_car": f"{__package__}.quarter_car:QuarterCarTwin",
-        "fmu": f"{__package__}.fmu:FmuTwin",
     },
     attribute="TWIN",
     kind=type,
@@ -545,8 +544,9 @@ def parse_twin(data: object, source: str | Path = "twin") -> Twin:
     if model in SCHEMAS:
         return checked(SCHEMAS[model], data, source, _KIND)
     wrong = f"model: must be one of {', '.join(SCHEMAS)}, is {shown(model)}{nearest(model, SCHEMAS)}"
-    rest = problems(CarTwin, {**data, "model": "full_car"}, _KIND)
-    raise InputError(source, "; ".join([wrong, *rest]))
+    # what else is wrong is not known of the file of an add-on's model
+    rest = [] if missing_addons() else problems(CarTwin, {**data, "model": "full_car"}, _KIND)
+    raise InputError(source, "; ".join([wrong + missing_addons(), *rest]))
 
 
 def load_twin(path: str | Path) -> Twin:

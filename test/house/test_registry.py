@@ -343,3 +343,12 @@ def test_a_command_of_an_add_on_says_what_is_missing(core: Path, arguments: list
     done = run("-m", "suspension_twin", *arguments, folder=core)
     assert done.returncode == 2 and done.stderr.count("\n") == 1
     assert named in done.stderr and f"{ADDONS} is not installed" in done.stderr
+
+
+def test_a_model_of_an_add_on_says_what_is_missing(core: Path, tmp_path: Path) -> None:
+    twin = tmp_path / "twin.yaml"
+    twin.write_text("model: fmu\nfmu: {file: car.fmu}\n")
+    done = run("-m", "suspension_twin", "simulate", CAR, "--twin", str(twin), "--out", "x", folder=core)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1
+    wrong = "model: must be one of full_car, msd, tracked, quarter_car, is 'fmu'"
+    assert done.stderr.endswith(f"{wrong}; {ADDONS} is not installed\n")

@@ -103,8 +103,11 @@ def test_models_are_asked_for_by_the_registry(modules: Modules) -> None:
     """Only the folders of models, their effects and their files know one model from another."""
     twins = {twin.__name__ for twin in SCHEMAS.values()} | {"TrackedVehicle", "QuarterCar", "Car"}
     found = []
+    places = {MODELS.module(name) for name in MODELS}
+    added = {"suspension_twin.addons.__init__", *(p for p in places if ".addons." in p)}
     for path, tree in modules:
-        if path.parts[1] in ("models", "effects", "vehicle"):
+        own = ".".join(path.with_suffix("").parts)
+        if path.parts[1] in ("models", "effects", "vehicle") or any(own.startswith(a) for a in added):
             continue
         if path.stem.startswith("tracked_"):
             found.append(f"{path}: is a world of its own")
@@ -225,8 +228,10 @@ def test_every_target_of_export_is_registered(repository: Path) -> None:
 
 @pytest.mark.parametrize("name", MODELS)
 def test_a_model_is_whole(name: str, repository: Path) -> None:
-    assert name in files_of(repository, "models")
-    assert named_in_tests(repository, "models", name), f"no test of the model {name}"
+    package, _, own = MODELS.module(name).rpartition(".")
+    assert own == name
+    tests = package.removeprefix("suspension_twin.").replace(".", "/")
+    assert named_in_tests(repository, tests, name), f"no test of the model {name}"
     assert f"`{name}`" in documentation(repository), f"{name} has no line in the documentation"
 
 

@@ -19,6 +19,8 @@ from typing import Final
 
 import numpy as np
 
+from suspension_twin.addons.fmu.slave import Connected, Slave, connected
+from suspension_twin.addons.fmu.twin import FmuTwin
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
 from suspension_twin.errors import WorkError
@@ -28,7 +30,6 @@ from suspension_twin.models.car import CHANNELS
 from suspension_twin.models.connectors import OUTPUTS, inputs_of, motion_between
 from suspension_twin.models.constants import Conditions, Outside, outside
 from suspension_twin.models.excitation import MAX_STEP
-from suspension_twin.models.fmu_slave import Connected, Slave, connected
 from suspension_twin.models.live import Following
 from suspension_twin.models.parameters import ParameterLayout, layout, pack
 from suspension_twin.models.registry import Model
@@ -37,7 +38,6 @@ from suspension_twin.models.sensor import sense
 from suspension_twin.models.sensor_chain import pass_chain
 from suspension_twin.models.simulate import CAR_SIGNALS, cores, sensed_response, share_out
 from suspension_twin.models.types import Excitation, HeightField, Ints, LaneResponse, Response
-from suspension_twin.vehicle.fmu import FmuTwin
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["MODEL", "Body", "LiveFmu"]

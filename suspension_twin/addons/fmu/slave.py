@@ -22,12 +22,12 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
+from suspension_twin.addons.fmu.twin import Fmu
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
 from suspension_twin.errors import InputError, WorkError, nearest, printable
 from suspension_twin.models.connectors import INPUTS, OUTPUTS
 from suspension_twin.vehicle.corners import CORNERS
-from suspension_twin.vehicle.fmu import Fmu
 
 if TYPE_CHECKING:
     from fmpy.model_description import CoSimulation, ModelDescription, ModelVariable
@@ -120,7 +120,7 @@ def connected(fmu: Fmu) -> Connected:
     Parameters
     ----------
     fmu
-        See :class:`~suspension_twin.vehicle.fmu.Fmu`.
+        See :class:`~suspension_twin.addons.fmu.twin.Fmu`.
 
     Returns
     -------
