@@ -15,13 +15,15 @@ from suspension_twin.effects.registry import effect
 from suspension_twin.errors import InputError, nearest
 from suspension_twin.inference.gauss_newton import GaussNewtonSettings
 from suspension_twin.inference.priors import TABLES, PointBounds, prior_of
-from suspension_twin.inference.space import CURVES, Space, bounds_of, curve_keys
+from suspension_twin.inference.space import CURVES, Space, bounds_of, curve_keys, is_fine
+from suspension_twin.arrays import Floats
+from suspension_twin.models.parts import OPTIONAL_PARTS, has_part
 from suspension_twin.models.parameters import Parameter, layout, twin_value
 from suspension_twin.models.registry import model_of
 from suspension_twin.vehicle.tracked import BOUNDS
 from suspension_twin.vehicle.twin import EffectSpec, Twin
 
-__all__ = ["PRESETS", "TABLE_2", "Preset", "build_space", "preset_named", "with_effects", "with_table_2"]
+__all__ = ["PART_KEYS", "PRESETS", "TABLE_2", "Preset", "build_space", "preset_named", "refined", "with_effects", "with_table_2"]
 
 #: The car paper's Table 2: for each characteristic its abscissae (m, m/s) and the bounds (N) of each point.
 TABLE_2: Mapping[str, tuple[tuple[float, ...], tuple[tuple[float, float], ...]]] = {
@@ -29,6 +31,12 @@ TABLE_2: Mapping[str, tuple[tuple[float, ...], tuple[tuple[float, float], ...]]]
     for name, part in TABLES.table_2.parts.items()
     for key in (f"vehicle.front.{name}", f"vehicle.rear.{name}")
 }
+
+
+#: Keys of the optional parts of a car that are free where its file has them.
+PART_KEYS = tuple(key for part in OPTIONAL_PARTS.values() for key in part.keys.values() if "roll_center" not in key)
+#: Points of a refined spring in m of travel from the standing car, and the farthest one.
+_TRAVEL, _END = (-0.06, -0.03, -0.01, 0.01, 0.03, 0.06), 0.12
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,9 +55,10 @@ class Comparison:
 class FreeNumbers:
     """What is free: the points of the characteristics, on the car paper's ``table_2``, and ``also`` these keys; or
     ``keys`` instead, of a vehicle that has them. ``reach``: by which factor a point may move either way where nobody
-    gave bounds."""
+    gave bounds. ``refined``: springs get points about the standing car where they have few, and the car gets links."""
 
     table_2: bool
+    refined: bool = False
     also: tuple[str, ...] = ()
     keys: tuple[str, ...] = ()
     reach: float = TABLES.point.reach
@@ -80,7 +89,8 @@ PRESETS: Mapping[str, Preset] = {
         channels=_ALL_MOTION,
         synchronise=False,
         table_2=False,
-        also=("vehicle.sprung_inertia.roll", "vehicle.sprung_inertia.pitch"),
+        refined=True,
+        also=("vehicle.sprung_inertia.roll", "vehicle.sprung_inertia.pitch", *PART_KEYS),
     ),
     "paper": Preset(
         name="paper",
@@ -137,14 +147,44 @@ def with_table_2(twin: Twin) -> Twin:
         abscissae = _of_table_2(key).x
         part = key.rpartition(".")[2]
         x, force = twin_value(twin, key).points
-        slope = (force[-1] - (force[-2] if x.size > 1 else 0.0)) / (x[-1] - (x[-2] if x.size > 1 else 0.0))
-        at = np.array(abscissae)
-        inside = np.interp(at, np.concatenate([[0.0], x]), np.concatenate([[0.0], force]))
-        values = np.where(at > x[-1], force[-1] + slope * (at - x[-1]), inside)
+        values = _along(x, force, np.array(abscissae))
         name = "compression" if part == "spring" else "velocity"
         changes[f"{key}.{name}"] = tuple(abscissae)
         changes[f"{key}.force"] = tuple(float(v) for v in values)
     return twin.with_changes(changes)
+
+
+def refined(twin: Twin, kept: Sequence[str] = ()) -> Twin:
+    """The twin with springs of points about the standing car, and with links and a contact patch of no effect yet.
+
+    The springs' curves stay what they are, as lines through new points. A spring with enough points stays as it is, and
+    so does one of which ``kept`` names a key; twins of models without springs or links stay whole.
+    """
+    changes: dict[str, object] = {}
+    for name, suspension in twin.axles.items():
+        key = f"vehicle.{name}.spring" if name else "vehicle.spring"
+        x, force = suspension.part.spring.points
+        static = suspension.static_compression
+        if is_fine(suspension) or any(word.startswith(key) for word in kept):
+            continue
+        at = static + np.array(_TRAVEL)
+        at = np.append(at[at > 0.3 * static], max(static + _END, x[-1]))
+        changes[f"{key}.compression"] = tuple(at.round(4).tolist())
+        changes[f"{key}.force"] = tuple(_along(x, force, at.round(4)).round(2).tolist())
+    if twin.model == "full_car":
+        for name in twin.axles:
+            if not has_part(twin, f"vehicle.{name}.linkage"):
+                changes[f"vehicle.{name}.linkage"] = {}
+        if not has_part(twin, "vehicle.tyre.contact_length"):
+            changes["vehicle.tyre.contact_length"] = 0.11
+    return twin.with_changes(changes) if changes else twin
+
+
+def _along(x: Floats, force: Floats, at: Floats) -> Floats:
+    """The force of a characteristic with points ``x`` and ``force`` at the abscissae ``at``."""
+    slope = (force[-1] - (force[-2] if x.size > 1 else 0.0)) / (x[-1] - (x[-2] if x.size > 1 else 0.0))
+    inside = np.interp(at, np.concatenate([[0.0], x]), np.concatenate([[0.0], force]))
+    return np.asarray(np.where(at > x[-1], force[-1] + slope * (at - x[-1]), inside))
 
 
 def build_space(

@@ -11,7 +11,7 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.checks import check_drive, check_parts, check_recording
-from suspension_twin.calibration.presets import Preset, build_space, preset_named, with_effects, with_table_2
+from suspension_twin.calibration.presets import Preset, build_space, preset_named, refined, with_effects, with_table_2
 from suspension_twin.calibration.request import CalibrationRequest
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive
@@ -86,7 +86,10 @@ def set_up(
     original = with_effects(given, [*request.free, *request.also])
     if not request.bags:
         raise InputError("drives", "none are given: name at least one recorded drive")
+    named = [*request.free, *request.freeze, *(key for key, _, _ in request.bounds)]
     twin = with_table_2(original) if preset.table_2 else original
+    if preset.refined and not request.free:
+        twin = refined(original, named)
     bounds = {key: (low, high) for key, low, high in request.bounds}
     nuisances = [k for k in request.freeze if k.startswith("nuisances.")]
     priors = OF_A_CALIBRATION.without(nuisances)

@@ -24,9 +24,9 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.models.parameters import Parameter, twin_value
-from suspension_twin.vehicle.twin import Twin
+from suspension_twin.vehicle.twin import Suspension, Twin
 
-__all__ = ["CURVES", "Curve", "Space", "curve_keys"]
+__all__ = ["CURVES", "is_fine", "Curve", "Space", "curve_keys"]
 
 #: The six characteristics of a car, in the order of the car paper's Table 2, and the three of a single corner.
 CURVES = (
@@ -44,6 +44,8 @@ _POINT = re.compile(r"^(vehicle\.(?:(?:front|rear)\.)?(?:spring|damper_push|damp
 
 # Keeps exp() finite whatever a search proposes.
 _LARGEST_LOG = 40.0
+# Distance in m of the points of a spring in the car paper's Table 2, for which the correlation of slopes is stated.
+_APART = 0.2
 # Least slope of a segment as a share of the mean slope of its curve: a flat segment has no logarithm.
 _FLAT = 1e-3
 
@@ -51,12 +53,17 @@ _FLAT = 1e-3
 @dataclass(frozen=True, eq=False)
 class Curve:
     """A characteristic with at least one free point: ``x`` (k,), nominal ``force`` (k,), and for
-    each point the row of its parameter in the space, -1 where the point is frozen."""
+    each point the row of its parameter in the space, -1 where the point is frozen.
+
+    ``standing`` is the compression in m and the load in N of a spring that carries the standing vehicle, whatever its
+    slopes: of a spring with points enough about it, all of them free.
+    """
 
     key: str
     x: Floats
     force: Floats
     rows: tuple[int, ...]
+    standing: tuple[float, float] | None = None
 
     @property
     def axle(self) -> str:
@@ -140,7 +147,8 @@ class Space:
             force = force.copy()
             for index, row in rows[key].items():
                 force[index] = self.nominal[row]
-            curves.append(Curve(key, x, force, tuple(rows[key].get(i, -1) for i in range(x.size))))
+            places = tuple(rows[key].get(i, -1) for i in range(x.size))
+            curves.append(Curve(key, x, force, places, _standing(twin, key, places)))
         return tuple(curves)
 
     def _check(self) -> None:
@@ -210,6 +218,12 @@ class Space:
         values = np.empty_like(z2, dtype=float)
         grows = np.exp(np.clip(z2, -_LARGEST_LOG, _LARGEST_LOG))
         for curve in self.curves:
+            if curve.standing is not None:
+                free = list(curve.rows)
+                forces = _about_standing(curve.x, curve.standing, grows[free])
+                forces = np.clip(forces, self.lower[free, None], self.upper[free, None])
+                values[free] = np.maximum.accumulate(forces, axis=0)
+                continue
             force = np.zeros(z2.shape[1])
             before = 0.0
             for i, row in enumerate(curve.rows):
@@ -275,14 +289,18 @@ class Space:
         """(d, d) prior covariance of the log slopes around the nominal ones.
 
         The log slopes of neighbouring segments have the ``correlation``, so that segments that a drive does not excite
-        follow the excited ones, relative to the preset.
+        follow the excited ones, relative to the preset. Segments of a spring that end less than ``_APART`` from each
+        other have more of it: the rate of a spring changes as much over the same travel however finely it is divided.
         """
         covariance = np.diag(np.where(self._on_curve | self._log, self._spread**2, 1.0))
         for curve in self.curves:
+            apart = np.arange(curve.x.size, dtype=np.float64)
+            if curve.part == "spring":
+                apart[1:] = np.cumsum(np.minimum(np.diff(curve.x) / _APART, 1.0))
             free = [(i, r) for i, r in enumerate(curve.rows) if r >= 0]
             for i, a in free:
                 for j, b in free:
-                    covariance[a, b] = self._spread[a] * self._spread[b] * correlation ** abs(i - j)
+                    covariance[a, b] = self._spread[a] * self._spread[b] * correlation ** abs(apart[i] - apart[j])
         return np.asarray(covariance)
 
     def on_bound(self, values: Floats, share: float = 1e-3) -> np.ndarray[Any, np.dtype[np.bool_]]:
@@ -303,6 +321,40 @@ class Space:
         if effects:
             changes["effects"] = [{"id": name, "parameters": p} for name, p in effects.items()]
         return twin.with_changes(changes)
+
+
+#: So many points of a spring within so many m of the standing vehicle describe its rate there.
+FINE, NEAR = 4, 0.08
+
+
+def is_fine(suspension: Suspension) -> bool:
+    """Whether a spring has points enough about the standing vehicle, one of them below."""
+    x, static = suspension.part.spring.points[0], suspension.static_compression
+    return bool((np.abs(x - static) <= NEAR).sum() >= FINE and x[0] < static < x[-1])
+
+
+def _standing(twin: Twin, key: str, rows: tuple[int, ...]) -> tuple[float, float] | None:
+    """Compression and load of a fine spring, all of whose points are free."""
+    axle, _, part = key.removeprefix("vehicle.").rpartition(".")
+    suspension = twin.axles.get(axle) if part == "spring" and min(rows) >= 0 else None
+    if suspension is None or not is_fine(suspension):
+        return None
+    return suspension.static_compression, suspension.load
+
+
+def _about_standing(x: Floats, standing: tuple[float, float], slopes: Floats) -> Floats:
+    """(k, L) forces at the points ``x`` (k,) of a spring that carries its load at the same compression whatever the
+    ``slopes`` (k, L) of its segments are. That of the first segment, from the free length on, follows from the others.
+    """
+    static, load = standing
+    at = int(np.searchsorted(x, static))  # x[at - 1] < static <= x[at]
+    steps = slopes * np.diff(x, prepend=0.0)[:, None]
+    out = np.empty_like(steps)
+    out[at:] = load + slopes[at] * (x[at] - static) + np.cumsum(steps[at:], axis=0) - steps[at]
+    below = load - slopes[at] * (static - x[at - 1])
+    out[at - 1] = below
+    out[: at - 1] = below - np.cumsum(steps[at - 1 : 0 : -1], axis=0)[::-1]
+    return out
 
 
 def bounds_of(bounds: Mapping[str, tuple[float, float]], key: str) -> tuple[float, float] | None:

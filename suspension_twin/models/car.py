@@ -15,6 +15,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.models import rows
 from suspension_twin.models.hooks import CornerChange, RoadChange, Values
+from suspension_twin.models.parts import OPTIONAL_PARTS, has_part
 from suspension_twin.models.registry import Model, deferred
 from suspension_twin.models.types import Ints
 from suspension_twin.vehicle.corners import AXLES
@@ -84,13 +85,14 @@ def points(curve: Spring | Damper, prefix: str, abscissa: str) -> list[str]:
 
 
 def numbers(twin: Twin) -> tuple[str, ...]:
-    """Keys of the numbers of a car: scalars, then the points of its characteristics."""
+    """Keys of the numbers of a car: scalars, the points of its characteristics, then its optional parts."""
     names = list(_SCALARS)
     for axle in AXLES:
         for part, abscissa in PARTS:
             curve = getattr(getattr(twin.vehicle, axle), part)
             names += points(curve, f"vehicle.{axle}.{part}", abscissa)
-    return tuple(names)
+    given = (key for part in OPTIONAL_PARTS.values() for key in part.keys.values())
+    return (*names, *(key for key in given if has_part(twin, key)))
 
 
 def car_model(name: str, title: str) -> Model:

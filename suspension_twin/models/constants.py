@@ -140,7 +140,7 @@ class _Changes:
         )
         with np.errstate(all="ignore"):
             for effect, hook in layout.hooks.items():
-                values = {name: numbers[f"effects.{effect}.{name}"] for name in hook.neutral}
+                values = layout.values(effect, numbers)
                 if hook.vehicle is not None:
                     hook.vehicle(out.numbers, values)
                 if hook.corners is not None:

@@ -47,6 +47,7 @@ from suspension_twin.models.curves import retable
 from suspension_twin.models.equilibrium import stand, stand_with
 from suspension_twin.models.full_car import KERNELS, block_rows, moments, open_lanes, record, watch, yaw_rate
 from suspension_twin.models.hooks import KernelTerms, RoadChange, Stage
+from suspension_twin.models.parts import LINKAGE
 from suspension_twin.models.rows import WIDTH, four, put
 from suspension_twin.models.sensor import sense
 from suspension_twin.models.types import Ints
@@ -339,7 +340,8 @@ def effect_kernels() -> EffectKernels:
     """The kernel with the effects of the registry, compiled when it is first run."""
     from suspension_twin.effects.registry import EFFECTS  # whose files import models.hooks
 
-    terms = {name: effect.hook.kernel for name, effect in EFFECTS.items() if effect.hook.kernel is not None}
+    hooks = {"linkage": LINKAGE, **{name: effect.hook for name, effect in EFFECTS.items()}}
+    terms = {name: hook.kernel for name, hook in hooks.items() if hook.kernel is not None}
     first, bit, end = {}, {}, rows.CURVES
     stages: dict[str, list[str]] = {stage: [] for stage in get_args(Stage)}
     flags = dict.fromkeys(stages, 0)
@@ -378,7 +380,7 @@ def effect_kernels() -> EffectKernels:
     }
     parts |= {f"_{stage.upper()}_OF": own for stage, own in flags.items()}
     parts |= {"_CURVES": end, "_STAND": standing}
-    modules = [EFFECTS.module(name) for name in terms]
+    modules = [EFFECTS.module(name) for name in terms if name in EFFECTS]
     kernels = {
         hinges: compiled(
             specialised(

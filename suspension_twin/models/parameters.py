@@ -16,7 +16,8 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
-from suspension_twin.models.hooks import Hook, load_hook
+from suspension_twin.models.hooks import Hook, Values, load_hook
+from suspension_twin.models.parts import OPTIONAL_PARTS, Part
 from suspension_twin.models.registry import model_of
 from suspension_twin.vehicle.twin import Twin, value_at
 
@@ -125,13 +126,14 @@ class Parameter:
 
 @dataclass(frozen=True)
 class ParameterLayout:
-    """Keys of the rows of a parameter vector, the hooks of the effects in it by id, and the sensor's mounting: roll,
-    pitch and yaw in rad."""
+    """Keys of the rows of a parameter vector, the hooks of the effects and optional parts in it by id, the ``parts``
+    among them, and the sensor's mounting: roll, pitch and yaw in rad."""
 
     names: tuple[str, ...]
     model: str = "full_car"
     hooks: Mapping[str, Hook] = field(default_factory=dict)
     mounting: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    parts: Mapping[str, Part] = field(default_factory=dict)
 
     @cached_property
     def index(self) -> dict[str, int]:
@@ -145,12 +147,32 @@ class ParameterLayout:
             found.append(row)
         return found
 
+    def values(self, name: str, numbers: Mapping[str, Floats]) -> Values:
+        """Parameters (L,) of the effect or optional part ``name``, of both together where the twin has both.
+
+        ``numbers`` (L,) by dotted key; what they do not hold is neutral.
+        """
+        neutral = self.hooks[name].neutral
+        count = next(iter(numbers.values())).size
+        effect = {
+            key: numbers[f"effects.{name}.{key}"] if f"effects.{name}.{key}" in numbers else np.full(count, value)
+            for key, value in neutral.items()
+        }
+        part = self.parts.get(name)
+        return effect if part is None else part.values(numbers, effect)
+
 
 def layout(twin: Twin) -> ParameterLayout:
     """The layout of this twin's parameter vector."""
     model = model_of(twin)
     names = list(model.numbers(twin))
-    hooks = {}
+    known = set(names)
+    parts = {name: part for name, part in OPTIONAL_PARTS.items() if not known.isdisjoint(part.keys.values())}
+    hooks = {name: part.hook(twin.model) for name, part in parts.items()}
+    for name, hook in hooks.items():
+        if twin.model not in hook.models:
+            key = next(key for key in parts[name].keys.values() if key in known)
+            raise InputError("twin", key, f"the model {twin.model} has no such part")
     for effect in twin.effects:
         hook = hooks[effect.id] = load_hook(effect.id, twin.model)
         if twin.model not in hook.models and not (model.opaque and hook.outside):
@@ -160,12 +182,12 @@ def layout(twin: Twin) -> ParameterLayout:
             )
         for name in effect.parameters:
             if name not in hook.neutral:
-                known = ", ".join(hook.neutral)
-                raise InputError("twin", f"effects.{effect.id}.{name}", f"is not a parameter of it: {known}")
+                own = ", ".join(hook.neutral)
+                raise InputError("twin", f"effects.{effect.id}.{name}", f"is not a parameter of it: {own}")
         if hook.check is not None:
             hook.check(effect.parameters)
         names += [f"effects.{effect.id}.{name}" for name in hook.neutral]
-    return ParameterLayout(tuple(names), twin.model, hooks, twin.imu.rpy)
+    return ParameterLayout(tuple(names), twin.model, hooks, twin.imu.rpy, parts)
 
 
 def _of_effects(twin: Twin) -> dict[str, float]:

@@ -72,6 +72,13 @@ Inertia = Annotated[float, within(10.0, 1.0e6, "kg m²")]
 Radius = Annotated[float, within(0.1, 1.5, "m", "is it in mm?")]
 Latency = Annotated[float, within(-2.0, 2.0, "s", "is it in ms?")]
 TyreStiffness = Annotated[float, within(1.0e4, 1.0e7, "N/m", "is it in N/mm?")]
+TyreDamping = Annotated[float, within(0.0, 5000.0, "N s/m")]
+ContactLength = Annotated[float, within(0.0, 2.0, "m", "is it in mm?")]
+PartStiffness = Annotated[float, within(0.0, 5.0e6, "N/m", "is it in N/mm?")]
+Friction = Annotated[float, within(0.0, 1500.0, "N")]
+LinkShare = Annotated[float, within(-3.0, 3.0, "", "is it in per cent?")]
+Recession = Annotated[float, within(-1.0, 1.0, "", "is it in mm/m?")]
+RollCenter = Annotated[float, within(-1.0, 1.0, "m", "is it in mm?")]
 
 
 class _Characteristic(Strict):
@@ -138,13 +145,37 @@ class Damper(_Characteristic):
     force: tuple[float, ...]
 
 
+class Linkage(Strict):
+    """Geometry of the links of an axle, as far as it acts on the ride.
+
+    ``braking`` and ``driving``: share of the axle's load transfer that the links carry past the spring while the car
+    slows down and speeds up. At the front they are the anti-dive and the anti-lift, at the rear the anti-lift and the
+    anti-squat, as fractions of 1 (Gillespie, "Fundamentals of Vehicle Dynamics", 1992, chapter 7). ``recession`` m
+    that a wheel moves back for each m that it rises. ``roll_center`` m, the height of the roll centre.
+    """
+
+    braking: LinkShare = 0.0
+    driving: LinkShare = 0.0
+    recession: Recession = 0.0
+    roll_center: RollCenter = 0.0
+
+
 class Axle(Strict):
-    """One axle: everything for one wheel, forces at the wheel."""
+    """One axle: everything for one wheel, forces at the wheel.
+
+    What follows the characteristics is optional; a part that is not there does nothing. ``anti_roll_bar`` N/m at each
+    wheel per difference of the compressions; ``friction`` N of each strut; ``top_mount`` N/m of the elastic mount in
+    series with each damper.
+    """
 
     unsprung_mass: WheelMass
     spring: Spring
     damper_push: Damper
     damper_pull: Damper
+    anti_roll_bar: PartStiffness | None = None
+    friction: Friction | None = None
+    top_mount: PartStiffness | None = None
+    linkage: Linkage | None = None
 
 
 class SpringAndDampers(Protocol):
@@ -177,8 +208,12 @@ class Suspension:
 
 
 class Tyre(Strict):
+    """The tyres, all alike; ``damping`` N s/m and ``contact_length`` m of the contact patch are optional."""
+
     radius: Radius
     vertical_stiffness: TyreStiffness
+    damping: TyreDamping | None = None
+    contact_length: ContactLength | None = None
 
 
 class SprungInertia(Strict):
