@@ -155,7 +155,7 @@ def with_table_2(twin: Twin) -> Twin:
 
 
 def refined(twin: Twin, kept: Sequence[str] = ()) -> Twin:
-    """The twin with springs of points about the standing car, and with links and a contact patch of no effect yet.
+    """The twin with springs of points about the standing car, and with links of no effect yet.
 
     The springs' curves stay what they are, as lines through new points. A spring with enough points stays as it is, and
     so does one of which ``kept`` names a key; twins of models without springs or links stay whole.
@@ -175,8 +175,6 @@ def refined(twin: Twin, kept: Sequence[str] = ()) -> Twin:
         for name in twin.axles:
             if not has_part(twin, f"vehicle.{name}.linkage"):
                 changes[f"vehicle.{name}.linkage"] = {}
-        if not has_part(twin, "vehicle.tyre.contact_length"):
-            changes["vehicle.tyre.contact_length"] = 0.11
     return twin.with_changes(changes) if changes else twin
 
 

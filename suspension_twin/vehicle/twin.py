@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, Protocol
@@ -475,17 +475,21 @@ def with_value(node: object, key: str, value: object, source: str = "twin") -> o
 
 def _child(node: object, part: str, key: str, source: str) -> object:
     """The value of one part of a key."""
-    known: dict[str, object] = {}
+    known: Collection[str] = ()
     if isinstance(node, Strict):
-        known = {name: getattr(node, name) for name in type(node).model_fields}
+        known = type(node).model_fields
+        if part in known:
+            return getattr(node, part)
     elif isinstance(node, Mapping):
-        known = {str(name): value for name, value in node.items()}
+        known = [str(name) for name in node]
+        if part in known:
+            return node[part]
     elif isinstance(node, Sequence) and not isinstance(node, str):
-        known = {str(i): value for i, value in enumerate(node)}
-    if part not in known:
-        near = nearest(part, known) or (f" ({', '.join(known)})" if known else "")
-        raise InputError(source, key, f"no such key in the twin file{near}")
-    return known[part]
+        known = [str(i) for i in range(len(node))]
+        if part in known:
+            return node[int(part)]
+    near = nearest(part, known) or (f" ({', '.join(known)})" if known else "")
+    raise InputError(source, key, f"no such key in the twin file{near}")
 
 
 class FourWheeledTwin(Twin):
