@@ -23,7 +23,17 @@ from suspension_twin.models.registry import model_of
 from suspension_twin.vehicle.tracked import BOUNDS
 from suspension_twin.vehicle.twin import EffectSpec, Twin
 
-__all__ = ["PART_KEYS", "PRESETS", "TABLE_2", "Preset", "build_space", "preset_named", "refined", "with_effects", "with_table_2"]
+__all__ = [
+    "PART_KEYS",
+    "PRESETS",
+    "TABLE_2",
+    "Preset",
+    "build_space",
+    "preset_named",
+    "refined",
+    "with_effects",
+    "with_table_2",
+]
 
 #: The car paper's Table 2: for each characteristic its abscissae (m, m/s) and the bounds (N) of each point.
 TABLE_2: Mapping[str, tuple[tuple[float, ...], tuple[tuple[float, float], ...]]] = {
@@ -34,7 +44,9 @@ TABLE_2: Mapping[str, tuple[tuple[float, ...], tuple[tuple[float, float], ...]]]
 
 
 #: Keys of the optional parts of a car that are free where its file has them.
-PART_KEYS = tuple(key for part in OPTIONAL_PARTS.values() for key in part.keys.values() if "roll_center" not in key)
+PART_KEYS = tuple(
+    key for part in OPTIONAL_PARTS.values() for key in part.keys.values() if "roll_center" not in key
+)
 #: Points of a refined spring in m of travel from the standing car, and the farthest one.
 _TRAVEL, _END = (-0.06, -0.03, -0.01, 0.01, 0.03, 0.06), 0.12
 

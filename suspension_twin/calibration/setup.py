@@ -11,7 +11,14 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.checks import check_drive, check_parts, check_recording
-from suspension_twin.calibration.presets import Preset, build_space, preset_named, refined, with_effects, with_table_2
+from suspension_twin.calibration.presets import (
+    Preset,
+    build_space,
+    preset_named,
+    refined,
+    with_effects,
+    with_table_2,
+)
 from suspension_twin.calibration.request import CalibrationRequest
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive

@@ -124,7 +124,11 @@ class _Fit:
         self.likelihood: Whitener | None = None
         self.cost = np.inf
         self.balanced = recorder.objective == "likelihood"
-        self.springs = [c for c in self.base.space.curves if c.part == "spring" and min(c.rows) >= 0 and c.standing is None]
+        self.springs = [
+            c
+            for c in self.base.space.curves
+            if c.part == "spring" and min(c.rows) >= 0 and c.standing is None
+        ]
 
     # -- the plan ------------------------------------------------------------------------------
 

@@ -300,7 +300,9 @@ class Space:
             free = [(i, r) for i, r in enumerate(curve.rows) if r >= 0]
             for i, a in free:
                 for j, b in free:
-                    covariance[a, b] = self._spread[a] * self._spread[b] * correlation ** abs(apart[i] - apart[j])
+                    covariance[a, b] = (
+                        self._spread[a] * self._spread[b] * correlation ** abs(apart[i] - apart[j])
+                    )
         return np.asarray(covariance)
 
     def on_bound(self, values: Floats, share: float = 1e-3) -> np.ndarray[Any, np.dtype[np.bool_]]:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
 from typing import NamedTuple
@@ -17,6 +17,7 @@ from suspension_twin.models import rows
 from suspension_twin.models.hooks import CornerChange, RoadChange, Values
 from suspension_twin.models.parts import OPTIONAL_PARTS, has_part
 from suspension_twin.models.registry import Model, deferred
+from suspension_twin.models.rows import Hinges
 from suspension_twin.models.types import Ints
 from suspension_twin.vehicle.corners import AXLES
 from suspension_twin.vehicle.twin import Damper, Spring, Twin
@@ -207,10 +208,15 @@ def _read(numbers: Numbers, prefix: str, abscissa: str, problems: Problems) -> C
     return Characteristic(x, f, slope)
 
 
-def hinges_of(characteristics: Characteristics) -> int:
+def hinges_of(characteristics: Characteristics) -> Hinges:
     """Changes of slope that the kernel for these characteristics has."""
-    most = max(curve.x.shape[0] for strut in characteristics.values() for curve in strut) - 1
-    return next(h for h in rows.HINGES if h >= most)
+
+    def enough(curves: Iterable[Characteristic]) -> int:
+        most = max(curve.x.shape[0] for curve in curves) - 1
+        return next(h for h in rows.HINGES if h >= most)
+
+    struts = characteristics.values()
+    return Hinges(enough(s.spring for s in struts), enough(c for s in struts for c in (s.push, s.pull)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,7 +272,7 @@ class CarKernel:
     """
 
     block: Callable[[Candidates, RoadChange, float, bool], Block]
-    walk: Callable[[int, Floats, Ints | None, Floats, Floats, Walk], None]
+    walk: Callable[[Hinges, Floats, Ints | None, Floats, Floats, Walk], None]
     one_lane: Callable[[int], LaneFunctions]
     rigid: bool = True
 
@@ -300,17 +306,17 @@ def _hinge_rows(out: Floats, first: int, count: int, curve: Characteristic) -> F
     return products
 
 
-def write_curves(out: Floats, first: int, hinges: int, strut: StrutCharacteristics, beta: Floats) -> None:
+def write_curves(out: Floats, first: int, hinges: Hinges, strut: StrutCharacteristics, beta: Floats) -> None:
     """Write the characteristics of one corner, ``rows.axle_rows`` of them, from row ``first`` on."""
     out[first] = strut.spring.slope[0]
-    out[first + 1] = -_hinge_rows(out, first + 2, hinges, strut.spring)
+    out[first + 1] = -_hinge_rows(out, first + 2, hinges.spring, strut.spring)
     push, pull = strut.push.implicit(beta), strut.pull.implicit(beta)
-    damper = first + 2 + 2 * hinges
+    damper = first + 2 + 2 * hinges.spring
     out[damper] = pull.slope[0]
     out[damper + 1] = push.slope[0] - pull.slope[0]
-    constant = _hinge_rows(out, damper + 3, hinges, push)
+    constant = _hinge_rows(out, damper + 3, hinges.damper, push)
     constant = constant + _hinge_rows(
-        out, damper + 3 + 2 * hinges, hinges, Characteristic(-pull.x, pull.f, pull.slope)
+        out, damper + 3 + 2 * hinges.damper, hinges.damper, Characteristic(-pull.x, pull.f, pull.slope)
     )
     out[damper + 2] = -constant
 

@@ -22,6 +22,7 @@ from suspension_twin.models.car import (
 from suspension_twin.models.excitation import MOTION
 from suspension_twin.models.hooks import ClockChange, CornerChange, RoadChange, SignalStage, Values
 from suspension_twin.models.parameters import ParameterLayout
+from suspension_twin.models.rows import Hinges
 from suspension_twin.models.types import Excitation, Ints
 
 __all__ = ["Conditions", "Constants", "Outside", "constants", "outside"]
@@ -59,7 +60,7 @@ class Outside:
 
 @dataclass(frozen=True, eq=False)
 class Constants(Outside):
-    """Constants of a car's kernel: ``values`` (rows, L) in the order of its block, ``hinges`` per characteristic.
+    """Constants of a car's kernel: ``values`` (rows, L) in the order of its block, ``hinges`` of its springs and dampers.
 
     ``flags`` (L,) are bits of the terms that each lane needs where the rows are those of a block with effects, else
     None.
@@ -68,7 +69,7 @@ class Constants(Outside):
     kernel: CarKernel
     values: Floats
     flags: Ints | None
-    hinges: int
+    hinges: Hinges
 
 
 class Conditions(NamedTuple):

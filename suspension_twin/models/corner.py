@@ -136,19 +136,18 @@ def velocities(
     l1: int,
     l2: int,
     l3: int,
-    c0: int,
-    c1: int,
-    c2: int,
-    c3: int,
+    d0: int,
+    d1: int,
+    d2: int,
+    d3: int,
     hinges: int,
 ) -> None:
     """Solve the dampers at the end of the step; velocities go on to the middle of the next one.
 
     Strut forces from STRUT, ``n0``.. N of the tyres; ``share`` of the interval has passed; ``l0``..
-    are the rows of LAG for each corner, ``c0``.. as in ``strut_forces``.
+    are the rows of LAG for each corner, ``d0``.. the first rows of the dampers' tables.
     """
     h2 = 0.5 * h
-    damper = 2 + 2 * hinges
     s0, s1, s2, s3 = four(w, rows.STRUT, i)
     vz, vr, vp = w[rows.HEAVE_RATE * WIDTH + i], w[rows.ROLL_RATE * WIDTH + i], w[rows.PITCH_RATE * WIDTH + i]
     # the body's velocity at the end of the step, guessed with its last acceleration
@@ -165,16 +164,15 @@ def velocities(
     a2 = fma((n2 if n2 > 0.0 else 0.0) - s2, ivr, -G)
     a3 = fma((n3 if n3 > 0.0 else 0.0) - s3, ivr, -G)
     ahead, behind = fma(-front, qp, qz), fma(-rear, qp, qz)
-    d0, d1, d2, d3 = four(w, rows.DAMPER, i)
-    p0 = fma(h2, a0, fma(w[l0 * WIDTH + i], d0, v0 - fma(y0, qr, ahead)))
-    p1 = fma(h2, a1, fma(w[l1 * WIDTH + i], d1, v1 - fma(y1, qr, ahead)))
-    p2 = fma(h2, a2, fma(w[l2 * WIDTH + i], d2, v2 - fma(y2, qr, behind)))
-    p3 = fma(h2, a3, fma(w[l3 * WIDTH + i], d3, v3 - fma(y3, qr, behind)))
-    d0, d1, d2, d3 = damper_forces(
-        w, c0 + damper, c1 + damper, c2 + damper, c3 + damper, hinges, i, p0, p1, p2, p3
-    )
-    a0, a1, a2, a3 = fma(-d0, inv, a0), fma(-d1, inv, a1), fma(-d2, ivr, a2), fma(-d3, ivr, a3)
-    f0, f1, f2, f3 = s0 + d0, s1 + d1, s2 + d2, s3 + d3
+    f0, f1, f2, f3 = four(w, rows.DAMPER, i)
+    p0 = fma(h2, a0, fma(w[l0 * WIDTH + i], f0, v0 - fma(y0, qr, ahead)))
+    p1 = fma(h2, a1, fma(w[l1 * WIDTH + i], f1, v1 - fma(y1, qr, ahead)))
+    p2 = fma(h2, a2, fma(w[l2 * WIDTH + i], f2, v2 - fma(y2, qr, behind)))
+    p3 = fma(h2, a3, fma(w[l3 * WIDTH + i], f3, v3 - fma(y3, qr, behind)))
+    f0, f1, f2, f3 = damper_forces(w, d0, d1, d2, d3, hinges, i, p0, p1, p2, p3)
+    put(w, rows.DAMPER, i, f0, f1, f2, f3)
+    a0, a1, a2, a3 = fma(-f0, inv, a0), fma(-f1, inv, a1), fma(-f2, ivr, a2), fma(-f3, ivr, a3)
+    f0, f1, f2, f3 = s0 + f0, s1 + f1, s2 + f2, s3 + f3
     fore, aft = f0 + f1, f2 + f3
     # the last terms are the moments of the planar accelerations
     mx, my, dmx, dmy = four(w, rows.MOMENT, i)
@@ -189,7 +187,6 @@ def velocities(
     w[rows.HEAVE_ACCELERATION * WIDTH + i] = az
     w[rows.ROLL_ACCELERATION * WIDTH + i], w[rows.PITCH_ACCELERATION * WIDTH + i] = ar, ap
     put(w, rows.WHEEL_ACCELERATION, i, a0, a1, a2, a3)
-    put(w, rows.DAMPER, i, d0, d1, d2, d3)
 
 
 @inlined

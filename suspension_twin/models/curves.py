@@ -122,16 +122,16 @@ def damper_forces(
 
 
 @compiled
-def retable(w: Floats, h: float, curves: int, hinges: int) -> None:
+def retable(w: Floats, h: float, curves: int, springs: int, hinges: int) -> None:
     """Make the tables of the four corners for steps of ``h`` s, from DAMPER_SHARE and COMPLIANCE.
 
-    ``curves`` is the first row of the corners' curves. A mount of compliance C in series with the damper deflects by
+    ``curves`` is the first row of the corners' curves, with so many hinges of ``springs`` and dampers. A mount of compliance C in series with the damper deflects by
     C (F - F') within a step, which is as if beta were C / h larger. The arithmetic is that of ``constants``, so that
     a lane with neither keeps its table to the last bit.
     """
-    points, stride = hinges + 1, 5 + 6 * hinges
+    points, stride = hinges + 1, 5 + 2 * springs + 4 * hinges
     for c in range(4):
-        table = curves + c * stride + 2 + 2 * hinges
+        table = curves + c * stride + 2 + 2 * springs
         master = curves + 4 * stride + c * 6 * points
         for i in range(WIDTH):
             share = w[(rows.DAMPER_SHARE + c) * WIDTH + i]

@@ -71,7 +71,7 @@ from suspension_twin.models.corner import (
 from suspension_twin.models.equilibrium import stand
 from suspension_twin.models.hooks import Check
 from suspension_twin.models.registry import deferred
-from suspension_twin.models.rows import STRETCH, WIDTH, fma, four, prefetch
+from suspension_twin.models.rows import KERNEL_HINGES, STRETCH, WIDTH, constants_for, fma, four, prefetch
 from suspension_twin.models.sensor import sense
 from suspension_twin.models.types import Ints
 from suspension_twin.units import STANDARD_GRAVITY as G
@@ -167,8 +167,8 @@ def open_lanes(w: Floats, k: int, motion: Floats, b0: int, b1: int, b2: int, b3:
         open_interval(w, i, motion[k, 0], b0, b1, b2, b3, mx, my, to_x - mx, to_y - my)
 
 
-#: Hinges of a curve, of each kernel its own.
-_HINGES = 0
+#: Hinges of springs and dampers, of each kernel its own.
+_SPRING_HINGES = _DAMPER_HINGES = 0
 
 
 @compiled_later
@@ -191,7 +191,8 @@ def _run(
     where its length is 0.
     """
     front, lag = rows.CURVES, rows.LAG
-    rear = front + 5 + 6 * _HINGES
+    rear = front + 5 + 2 * _SPRING_HINGES + 4 * _DAMPER_HINGES
+    push = 2 + 2 * _SPRING_HINGES
     done = 0
     for start in range(begin, end, STRETCH):
         row = done
@@ -208,7 +209,9 @@ def _run(
                         for c in range(4):
                             w[(rows.ROAD + c) * WIDTH + i] = road[row, c]
                         mx, my = moments(w, i, ax, ay, yaw * yaw, dyaw)
-                        stand(w, i, mx, my, motion[k, 5], motion[k, 6], front, front, rear, rear, _HINGES)
+                        stand(
+                            w, i, mx, my, motion[k, 5], motion[k, 6], front, front, rear, rear, _SPRING_HINGES
+                        )
                     row += 1
                 else:
                     beta = rows.IMPLICIT
@@ -219,7 +222,7 @@ def _run(
                         row += 1
                         for i in range(WIDTH):
                             move(w, i, h)
-                            strut_forces(w, i, front, front, rear, rear, _HINGES)
+                            strut_forces(w, i, front, front, rear, rear, _SPRING_HINGES)
                         for i in range(WIDTH):
                             n0, n1, n2, n3 = tyre_forces(w, i, r0, r1, r2, r3)
                             velocities(
@@ -235,11 +238,11 @@ def _run(
                                 lag,
                                 lag + 2,
                                 lag + 2,
-                                front,
-                                front,
-                                rear,
-                                rear,
-                                _HINGES,
+                                front + push,
+                                front + push,
+                                rear + push,
+                                rear + push,
+                                _DAMPER_HINGES,
                             )
                     for i in range(WIDTH):
                         close_interval(w, i, h)
@@ -253,8 +256,10 @@ def _run(
         done = row
 
 
-#: The kernel for each number of hinges per curve.
-KERNELS = {hinges: compiled(specialised(_run, f"_run_{hinges}", _HINGES=hinges)) for hinges in rows.HINGES}
+#: The kernel for each pair of numbers of hinges.
+KERNELS = {
+    h: compiled(specialised(_run, f"_run_{h.spring}_{h.damper}", **constants_for(h))) for h in KERNEL_HINGES
+}
 
 #: Largest product of step and natural frequency for which the explicit springs are trusted.
 #: The scheme is stable up to 2; beyond this the phase error alone is several per cent.

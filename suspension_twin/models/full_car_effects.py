@@ -48,7 +48,7 @@ from suspension_twin.models.equilibrium import stand, stand_with
 from suspension_twin.models.full_car import KERNELS, block_rows, moments, open_lanes, record, watch, yaw_rate
 from suspension_twin.models.hooks import KernelTerms, RoadChange, Stage
 from suspension_twin.models.parts import LINKAGE
-from suspension_twin.models.rows import WIDTH, four, put
+from suspension_twin.models.rows import KERNEL_HINGES, WIDTH, Hinges, constants_for, four, put
 from suspension_twin.models.sensor import sense
 from suspension_twin.models.types import Ints
 from suspension_twin.units import STANDARD_GRAVITY as G
@@ -67,10 +67,10 @@ def _no_term(w: Floats, flag: int, h: float) -> None:
     """A stage without terms."""
 
 
-#: Values that each assembly of the kernel has of its own: hinges of a curve, first row of the curves, static
+#: Values that each assembly of the kernel has of its own: hinges of springs and dampers, first row of the curves, static
 #: equilibrium, the terms of the stages, and the flags of blocks that have one; flags and tyre radius in m of a lane by
 #: itself.
-_HINGES = _CURVES = _FLAG = 0
+_SPRING_HINGES = _DAMPER_HINGES = _CURVES = _FLAG = 0
 _RADIUS = 0.0
 _STAND = stand
 _DAMPERS = _STRUT = _TYRE = _BODY = _AFTER = _STAMP = _no_term
@@ -123,9 +123,10 @@ def _run(
     ``candidate_road`` (rows, 4, WIDTH) gives every lane heights of its own, or has length 0; with it
     ``blocks`` holds one block.
     """
-    stride = 5 + 6 * _HINGES
+    stride = 5 + 2 * _SPRING_HINGES + 4 * _DAMPER_HINGES
     beta, lag = rows.CORNER_IMPLICIT, rows.LAG
     c0, c1, c2, c3 = _CURVES, _CURVES + stride, _CURVES + 2 * stride, _CURVES + 3 * stride
+    push = 2 + 2 * _SPRING_HINGES
     actuated = motion.shape[1] > 7
     for block in range(blocks.shape[0]):
         w = blocks[block]
@@ -140,14 +141,14 @@ def _run(
                 for i in range(WIDTH):
                     w[rows.ACTUATOR * WIDTH + i] = motion[k, 7] if actuated else 0.0
                     mx, my = moments(w, i, ax, ay, yaw * yaw, dyaw)
-                    _STAND(w, i, mx, my, motion[k, 5], motion[k, 6], c0, c1, c2, c3, _HINGES)
+                    _STAND(w, i, mx, my, motion[k, 5], motion[k, 6], c0, c1, c2, c3, _SPRING_HINGES)
                 row += 1
             else:
                 if flag & (_DAMPERS_OF | COMPLIANT):
                     for i in range(WIDTH):
                         put(w, rows.DAMPER_SHARE, i, 1.0, 1.0, 1.0, 1.0)
                     _DAMPERS(w, flag, h)
-                    retable(w, h, _CURVES, _HINGES)
+                    retable(w, h, _CURVES, _SPRING_HINGES, _DAMPER_HINGES)
                 open_lanes(w, k, motion, beta, beta + 1, beta + 2, beta + 3)
                 for j in range(n):
                     share = (j + 1.0) / n
@@ -159,7 +160,7 @@ def _run(
                         w[rows.SPEED * WIDTH + i] = speed
                         w[rows.YAW_RATE * WIDTH + i] = turn
                         move(w, i, h)
-                        strut_forces(w, i, c0, c1, c2, c3, _HINGES)
+                        strut_forces(w, i, c0, c1, c2, c3, _SPRING_HINGES)
                         r0, r1, r2, r3 = four(w, rows.ROAD, i)
                         n0, n1, n2, n3 = tyre_forces(w, i, r0, r1, r2, r3)
                         put(w, rows.GROUND, i, n0, n1, n2, n3)
@@ -186,11 +187,11 @@ def _run(
                             lag + 1,
                             lag + 2,
                             lag + 3,
-                            c0,
-                            c1,
-                            c2,
-                            c3,
-                            _HINGES,
+                            c0 + push,
+                            c1 + push,
+                            c2 + push,
+                            c3 + push,
+                            _DAMPER_HINGES,
                         )
                     if flag & _BODY_OF:
                         _BODY(w, flag, h)
@@ -211,13 +212,13 @@ def _run(
 
 def _start(w: Floats, road: Floats, motion: Floats) -> None:
     """Put the vehicle in equilibrium on four heights."""
-    stride = 5 + 6 * _HINGES
+    stride = 5 + 2 * _SPRING_HINGES + 4 * _DAMPER_HINGES
     c0, c1, c2, c3 = _CURVES, _CURVES + stride, _CURVES + 2 * stride, _CURVES + 3 * stride
     for c in range(4):
         w[(rows.ROAD + c) * WIDTH] = road[c]
         w[(rows.ROAD_RATE + c) * WIDTH] = 0.0
     mx, my = moments(w, 0, motion[0], motion[1], motion[2] * motion[2], motion[3])
-    _STAND(w, 0, mx, my, motion[4], motion[5], c0, c1, c2, c3, _HINGES)
+    _STAND(w, 0, mx, my, motion[4], motion[5], c0, c1, c2, c3, _SPRING_HINGES)
 
 
 @compiled_later
@@ -225,13 +226,15 @@ def _advance(
     w: Floats, n: int, h: float, road0: Floats, road1: Floats, motion0: Floats, motion1: Floats
 ) -> None:
     """Walk an interval in n steps of h s, from one road and motion to another."""
-    stride = 5 + 6 * _HINGES
+    stride = 5 + 2 * _SPRING_HINGES + 4 * _DAMPER_HINGES
     beta, lag = rows.CORNER_IMPLICIT, rows.LAG
     c0, c1, c2, c3 = _CURVES, _CURVES + stride, _CURVES + 2 * stride, _CURVES + 3 * stride
+    push = 2 + 2 * _SPRING_HINGES
+    p0, p1, p2, p3 = c0 + push, c1 + push, c2 + push, c3 + push
     if _FLAG & (_DAMPERS_OF | COMPLIANT):
         put(w, rows.DAMPER_SHARE, 0, 1.0, 1.0, 1.0, 1.0)
         _DAMPERS(w, _FLAG, h)
-        retable(w, h, _CURVES, _HINGES)
+        retable(w, h, _CURVES, _SPRING_HINGES, _DAMPER_HINGES)
     mx, my = moments(w, 0, motion0[0], motion0[1], motion0[2] * motion0[2], motion0[3])
     to_x, to_y = moments(w, 0, motion1[0], motion1[1], motion1[2] * motion1[2], motion1[3])
     open_interval(w, 0, h, beta, beta + 1, beta + 2, beta + 3, mx, my, to_x - mx, to_y - my)
@@ -244,7 +247,7 @@ def _advance(
         w[rows.SPEED * WIDTH] = motion0[4] + (share - 0.5 / n) * (motion1[4] - motion0[4])
         w[rows.YAW_RATE * WIDTH] = yaw_rate(motion0[2], motion1[2], share)
         move(w, 0, h)
-        strut_forces(w, 0, c0, c1, c2, c3, _HINGES)
+        strut_forces(w, 0, c0, c1, c2, c3, _SPRING_HINGES)
         r0, r1, r2, r3 = four(w, rows.ROAD, 0)
         n0, n1, n2, n3 = tyre_forces(w, 0, r0, r1, r2, r3)
         put(w, rows.GROUND, 0, n0, n1, n2, n3)
@@ -256,7 +259,9 @@ def _advance(
         if _FLAG & _TYRE_OF:
             _TYRE(w, _FLAG, h)
         n0, n1, n2, n3 = four(w, rows.GROUND, 0)
-        velocities(w, 0, h, share, n0, n1, n2, n3, lag, lag + 1, lag + 2, lag + 3, c0, c1, c2, c3, _HINGES)
+        velocities(
+            w, 0, h, share, n0, n1, n2, n3, lag, lag + 1, lag + 2, lag + 3, p0, p1, p2, p3, _DAMPER_HINGES
+        )
         if _FLAG & _BODY_OF:
             _BODY(w, _FLAG, h)
         if _FLAG & _AFTER_OF:
@@ -327,12 +332,12 @@ class EffectKernels:
     first: Mapping[str, int]
     bit: Mapping[str, int]
     curves: int
-    kernels: Mapping[int, Callable[..., None]]
+    kernels: Mapping[Hinges, Callable[..., None]]
     parts: Mapping[str, object]
 
-    def rows(self, hinges: int) -> int:
+    def rows(self, hinges: Hinges) -> int:
         """Rows of a block."""
-        return self.curves + 4 * rows.axle_rows(hinges) + 4 * 2 * 3 * (hinges + 1)
+        return self.curves + 4 * rows.axle_rows(hinges) + 4 * 2 * 3 * (hinges.damper + 1)
 
 
 @cache
@@ -385,13 +390,13 @@ def effect_kernels() -> EffectKernels:
         hinges: compiled(
             specialised(
                 _run,
-                f"_run_{hinges}",
-                _HINGES=hinges,
+                f"_run_{hinges.spring}_{hinges.damper}",
+                **constants_for(hinges),
                 **parts,
             ),
             modules,
         )
-        for hinges in rows.HINGES
+        for hinges in KERNEL_HINGES
     }
     return EffectKernels(terms, first, bit, end, kernels, parts)
 
@@ -428,7 +433,7 @@ def one_lane(flag: int) -> LaneFunctions:
 
 
 def walk(
-    hinges: int, blocks: Floats, flags: Ints | None, road: Floats, candidate_road: Floats, walk: Walk
+    hinges: Hinges, blocks: Floats, flags: Ints | None, road: Floats, candidate_road: Floats, walk: Walk
 ) -> None:
     """Take blocks of lanes along; see ``car.CarKernel``."""
     if flags is None:
@@ -456,12 +461,12 @@ def _with_effects(base: Floats, given: Candidates) -> tuple[Floats, Ints]:
         beta = out[rows.CORNER_IMPLICIT + c] = base[rows.IMPLICIT + c // 2]
         with np.errstate(all="ignore"):
             write_curves(out, first + c * stride, hinges, strut, beta)
-            shorten_spring(out, first + c * stride, hinges, corners.sag[c])
+            shorten_spring(out, first + c * stride, hinges.spring, corners.sag[c])
         for curve in (strut.push, strut.pull):
             for row in (curve.x, curve.f, curve.slope):  # the last point repeated up to the number of hinges
                 out[master : master + len(row)] = row
-                out[master + len(row) : master + hinges + 1] = row[-1]
-                master += hinges + 1
+                out[master + len(row) : master + hinges.damper + 1] = row[-1]
+                master += hinges.damper + 1
 
     with np.errstate(all="ignore"):
         springs = [given.characteristics[axle].spring.slope.max(axis=0) for axle in AXLES]

@@ -69,7 +69,7 @@ from suspension_twin.models.connectors import see
 from suspension_twin.models.curves import damper_forces, spring_force, spring_forces, spring_slope
 from suspension_twin.models.full_car import record, watch
 from suspension_twin.models.hooks import RoadChange
-from suspension_twin.models.rows import WIDTH, fma, four, put
+from suspension_twin.models.rows import KERNEL_HINGES, WIDTH, Hinges, constants_for, fma, four, put
 from suspension_twin.models.sensor import sense
 from suspension_twin.models.types import Ints
 from suspension_twin.units import STANDARD_GRAVITY as G
@@ -106,7 +106,8 @@ def stand_corners(
     w3: float,
     forward: float,
     sideways: float,
-    hinges: int,
+    springs: int,
+    dampers: int,
 ) -> None:
     """Put one lane in equilibrium under the weights ``w0``.. on the heights in its rows ROAD."""
     weights = [w0, w1, w2, w3]
@@ -118,7 +119,7 @@ def stand_corners(
     tr = w[(rows.ARM_Y + 2) * WIDTH + i] - w[(rows.ARM_Y + 3) * WIDTH + i]
     climb = (front - rear) / length * forward + 0.5 * ((r[0] - r[1]) / tf + (r[2] - r[3]) / tr) * sideways
     for c in range(4):
-        first = rows.CURVES + (c // 2) * (5 + 6 * hinges)
+        first = rows.CURVES + (c // 2) * (5 + 2 * springs + 4 * dampers)
         static = w[(rows.STATIC + c) * WIDTH + i]
         load = weights[c]
         wheel = r[c]
@@ -127,10 +128,10 @@ def stand_corners(
             load -= G / inv
         x = static
         for _ in range(60):
-            f = spring_force(w, first, hinges, i, x) - load
+            f = spring_force(w, first, springs, i, x) - load
             if abs(f) < 1e-9 * (1.0 + abs(load)):
                 break
-            x -= f / max(spring_slope(w, first, hinges, i, x), 1.0)
+            x -= f / max(spring_slope(w, first, springs, i, x), 1.0)
         else:
             w[rows.FAILED * WIDTH + i] = 1.0
         w[(rows.WHEEL + c) * WIDTH + i] = static + wheel - x
@@ -180,11 +181,13 @@ def _wheels(w: Floats, h: float, road: Floats, candidate_road: Floats, row: int)
 
 
 @inlined
-def corners(w: Floats, i: int, h: float, w0: float, w1: float, w2: float, w3: float, hinges: int) -> None:
+def corners(
+    w: Floats, i: int, h: float, w0: float, w1: float, w2: float, w3: float, springs: int, dampers: int
+) -> None:
     """One lane a step on, from wheels that are already there."""
     h2 = 0.5 * h
-    front, rear = rows.CURVES, rows.CURVES + 5 + 6 * hinges
-    damper = 2 + 2 * hinges
+    front, rear = rows.CURVES, rows.CURVES + 5 + 2 * springs + 4 * dampers
+    damper = 2 + 2 * springs
     inv, unsprung = w[rows.INV_CORNER * WIDTH + i], w[rows.INV_UNSPRUNG * WIDTH + i]
     tyre = w[rows.TYRE * WIDTH + i]
     a0, a1, a2, a3 = four(w, rows.WHEEL_ACCELERATION, i)
@@ -195,7 +198,7 @@ def corners(w: Floats, i: int, h: float, w0: float, w1: float, w2: float, w3: fl
     u0, u1, u2, u3 = four(w, rows.HUB, i)
     c0, c1, c2, c3 = four(w, rows.STATIC, i)
     c0, c1, c2, c3 = c0 + (u0 - x0), c1 + (u1 - x1), c2 + (u2 - x2), c3 + (u3 - x3)
-    s0, s1, s2, s3 = spring_forces(w, front, front, rear, rear, hinges, i, c0, c1, c2, c3)
+    s0, s1, s2, s3 = spring_forces(w, front, front, rear, rear, springs, i, c0, c1, c2, c3)
     # what wheels with a mass feel but for their dampers; the others have unsprung = 0
     r0, r1, r2, r3 = four(w, rows.ROAD, i)
     n0, n1, n2, n3 = four(w, rows.LOAD, i)
@@ -220,7 +223,7 @@ def corners(w: Floats, i: int, h: float, w0: float, w1: float, w2: float, w3: fl
     d0, d1 = fma(lag0, d0, fma(h2, g0 - a0, e0 - v0)), fma(lag0, d1, fma(h2, g1 - a1, e1 - v1))
     d2, d3 = fma(lag1, d2, fma(h2, g2 - a2, e2 - v2)), fma(lag1, d3, fma(h2, g3 - a3, e3 - v3))
     front, rear = front + damper, rear + damper
-    d0, d1, d2, d3 = damper_forces(w, front, front, rear, rear, hinges, i, d0, d1, d2, d3)
+    d0, d1, d2, d3 = damper_forces(w, front, front, rear, rear, dampers, i, d0, d1, d2, d3)
     rigid = not unsprung > 0.0
     n0, n1 = s0 + d0 if rigid else n0, s1 + d1 if rigid else n1
     n2, n3 = s2 + d2 if rigid else n2, s3 + d3 if rigid else n3
@@ -250,7 +253,7 @@ def _record_corners(w: Floats, at: int, state: Floats) -> None:
 
 
 #: Hinges of a curve, of each kernel its own, and tyre radius in m of a lane by itself.
-_HINGES, _RADIUS = 0, 0.0
+_SPRING_HINGES, _DAMPER_HINGES, _RADIUS = 0, 0, 0.0
 
 
 @compiled_later
@@ -280,7 +283,9 @@ def _run(
                         own = candidate_road.shape[0] > 0
                         w[(rows.ROAD + c) * WIDTH + i] = candidate_road[row, c, i] if own else road[row, c]
                     w0, w1, w2, w3 = weights(w, i, ax, ay, yaw * yaw, dyaw)
-                    stand_corners(w, i, w0, w1, w2, w3, motion[k, 5], motion[k, 6], _HINGES)
+                    stand_corners(
+                        w, i, w0, w1, w2, w3, motion[k, 5], motion[k, 6], _SPRING_HINGES, _DAMPER_HINGES
+                    )
                 row += 1
             else:
                 ax0, ay0, yaw0, dyaw0 = motion[k - 1, 1], motion[k - 1, 2], motion[k - 1, 3], motion[k - 1, 4]
@@ -293,7 +298,7 @@ def _run(
                     yaw2, sd = fma(s, to2 - from2, from2), fma(s, dyaw - dyaw0, dyaw0)
                     for i in range(WIDTH):
                         w0, w1, w2, w3 = weights(w, i, sx, sy, yaw2, sd)
-                        corners(w, i, h, w0, w1, w2, w3, _HINGES)
+                        corners(w, i, h, w0, w1, w2, w3, _SPRING_HINGES, _DAMPER_HINGES)
             for i in range(WIDTH):
                 plane(w, i, rows.POSITION)
                 plane(w, i, rows.VELOCITY)
@@ -312,7 +317,7 @@ def _start(w: Floats, road: Floats, motion: Floats) -> None:
     for c in range(4):
         w[(rows.ROAD + c) * WIDTH] = road[c]
     w0, w1, w2, w3 = weights(w, 0, motion[0], motion[1], motion[2] * motion[2], motion[3])
-    stand_corners(w, 0, w0, w1, w2, w3, motion[4], motion[5], _HINGES)
+    stand_corners(w, 0, w0, w1, w2, w3, motion[4], motion[5], _SPRING_HINGES, _DAMPER_HINGES)
 
 
 @compiled_later
@@ -328,7 +333,7 @@ def _advance(
         ax, ay = fma(s, motion1[0] - motion0[0], motion0[0]), fma(s, motion1[1] - motion0[1], motion0[1])
         yaw2, dyaw = fma(s, to2 - from2, from2), fma(s, motion1[3] - motion0[3], motion0[3])
         w0, w1, w2, w3 = weights(w, 0, ax, ay, yaw2, dyaw)
-        corners(w, 0, h, w0, w1, w2, w3, _HINGES)
+        corners(w, 0, h, w0, w1, w2, w3, _SPRING_HINGES, _DAMPER_HINGES)
 
 
 def _read(w: Floats, motion: Floats, out: Floats) -> None:
@@ -348,8 +353,10 @@ def _read(w: Floats, motion: Floats, out: Floats) -> None:
         out[30 + c] = w[(rows.HUB_ACCELERATION + c) * WIDTH]
 
 
-#: The kernel for each number of hinges per curve.
-KERNELS = {hinges: compiled(specialised(_run, f"_run_{hinges}", _HINGES=hinges)) for hinges in rows.HINGES}
+#: The kernel for each pair of numbers of hinges.
+KERNELS = {
+    h: compiled(specialised(_run, f"_run_{h.spring}_{h.damper}", **constants_for(h))) for h in KERNEL_HINGES
+}
 
 _SPRING_PHASE = 1.0
 
@@ -413,7 +420,7 @@ def _constants(given: Candidates, road: RoadChange, antenna: float, actuated: bo
             out[rows.IMPLICIT + a] = beta
             first = rows.CURVES + a * rows.axle_rows(hinges)
             write_curves(out, first, hinges, strut, beta)
-            shorten_spring(out, first, hinges, given.corners.sag[2 * a])
+            shorten_spring(out, first, hinges.spring, given.corners.sag[2 * a])
             steepest = strut.spring.slope.max(axis=0)
             stiff = steepest * (out[rows.INV_CORNER] + out[rows.INV_UNSPRUNG])
             stiff = np.maximum(stiff, (out[rows.TYRE] + steepest) * out[rows.INV_UNSPRUNG])
@@ -426,7 +433,7 @@ def _constants(given: Candidates, road: RoadChange, antenna: float, actuated: bo
 
 
 def _walk(
-    hinges: int, blocks: Floats, flags: Ints | None, road: Floats, candidate_road: Floats, walk: Walk
+    hinges: Hinges, blocks: Floats, flags: Ints | None, road: Floats, candidate_road: Floats, walk: Walk
 ) -> None:
     """Take blocks of lanes along; see ``car.CarKernel``."""
     KERNELS[hinges](blocks, road, candidate_road, *walk)

@@ -20,6 +20,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.compiled import specialised
 from suspension_twin.models.constants import Conditions, constants
 from suspension_twin.models.parameters import layout, pack
+from suspension_twin.models.rows import constants_for
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["OneLane", "one_lane"]
@@ -59,7 +60,7 @@ def one_lane(twin: Twin, max_step: float) -> OneLane:
     known = constants(pack(twin)[:, None], shape, Conditions(max_step, actuated=True))
     known.problems.raise_first()
     functions, own = known.kernel.one_lane(0 if known.flags is None else int(known.flags[0]))
-    own |= {"_HINGES": known.hinges, "_RADIUS": float(twin.vehicle.tyre.radius)}
+    own |= {**constants_for(known.hinges), "_RADIUS": float(twin.vehicle.tyre.radius)}
     names = ("twin_start", "twin_advance", "twin_read")
     start, advance, read = (specialised(f, name, **own) for f, name in zip(functions, names, strict=True))
     inside = ("vehicle", "corners", "kernel")

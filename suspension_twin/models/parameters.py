@@ -155,7 +155,9 @@ class ParameterLayout:
         neutral = self.hooks[name].neutral
         count = next(iter(numbers.values())).size
         effect = {
-            key: numbers[f"effects.{name}.{key}"] if f"effects.{name}.{key}" in numbers else np.full(count, value)
+            key: numbers[f"effects.{name}.{key}"]
+            if f"effects.{name}.{key}" in numbers
+            else np.full(count, value)
             for key, value in neutral.items()
         }
         part = self.parts.get(name)

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -81,7 +80,9 @@ def _constants(p: Values) -> dict[int, Floats | float]:
     }
 
 
-_NAMES = tuple(f"{axle}_{name}" for axle in AXLES for name in ("braking", "driving", "recession", "roll_center"))
+_NAMES = tuple(
+    f"{axle}_{name}" for axle in AXLES for name in ("braking", "driving", "recession", "roll_center")
+)
 
 #: The links of both axles.
 LINKAGE: Final = Hook(

@@ -18,7 +18,8 @@ two kernels (with and without effects) computed them.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from itertools import product
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from llvmlite import ir
 from numba.core import cgutils, types
@@ -32,13 +33,16 @@ __all__ = [
     "CORNER",
     "CURVES",
     "HINGES",
+    "KERNEL_HINGES",
     "LANE",
     "STATES",
     "STRETCH",
     "WIDTH",
     "Fields",
+    "Hinges",
     "axle_rows",
     "block_rows",
+    "constants_for",
     "fma",
     "four",
     "prefetch",
@@ -149,22 +153,38 @@ INV_CORNER = _core.add()  # 1 / mass above each spring, 1/kg
 INV_UNSPRUNG = _core.add()  # 1 / mass of each wheel, 0 where it has none, 1/kg
 
 #: First row after these fields. A block without effects has the curves of the axles here, front then rear; with K
-#: hinges: first slope and constant of the spring, K abscissae and K changes of slope; then the damper's table: slope
-#: of the first pull segment, change of slope at rest, constant, K abscissae and K changes of slope of push, and of
-#: pull. A block with effects has their fields here; then the curves of the four corners, laid
+#: hinges of springs and D of dampers: first slope and constant of the spring, K abscissae and K changes of slope; then
+#: the damper's table: slope of the first pull segment, change of slope at rest, constant, D abscissae and D changes of
+#: slope of push, and of pull. A block with effects has their fields here; then the curves of the four corners, laid
 #: out alike, and the dampers as they are, from which tables that change on the way are made: for each corner, push then
-#: pull, K + 1 speeds, K + 1 forces and K + 1 slopes.
+#: pull, D + 1 speeds, D + 1 forces and D + 1 slopes.
 CURVES = _core.count
 #: Kernels are compiled for these numbers of hinges; a curve of k points has k - 1.
 HINGES: Final = (3, 7, 31)
 
 
-def axle_rows(hinges: int) -> int:
+class Hinges(NamedTuple):
+    """Hinges of every spring and of every damper that a kernel is compiled for."""
+
+    spring: int
+    damper: int
+
+
+#: The pairs that there are kernels for.
+KERNEL_HINGES: Final = tuple(Hinges(*pair) for pair in product(HINGES, HINGES))
+
+
+def constants_for(hinges: Hinges) -> dict[str, int]:
+    """The constants of a kernel for so many hinges, by their names in its module."""
+    return {"_SPRING_HINGES": hinges.spring, "_DAMPER_HINGES": hinges.damper}
+
+
+def axle_rows(hinges: Hinges) -> int:
     """Rows that the curves of one axle take, or, with effects, of one corner."""
-    return 5 + 6 * hinges
+    return 5 + 2 * hinges.spring + 4 * hinges.damper
 
 
-def block_rows(hinges: int) -> int:
+def block_rows(hinges: Hinges) -> int:
     """Rows of a block without effects."""
     return CURVES + 2 * axle_rows(hinges)
 
