@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.checks import LEAST_EXCITED, check_drive, check_on_road, check_recording
-from suspension_twin.calibration.presets import build_space, preset_named
+from suspension_twin.calibration.presets import PART_KEYS, build_space, preset_named
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive
@@ -74,6 +74,7 @@ ALSO = (
     "vehicle.front.unsprung_mass",
     "vehicle.rear.unsprung_mass",
     "vehicle.unsprung_mass",
+    *PART_KEYS,
 )
 #: Free without a road, where the drives hold no information on the characteristics but on how far the body leans.
 _LEANING = ("vehicle.cog.2",)

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Springs refined about the standing car: the same curve, the same stance, and what calibration makes of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from suspension_twin.calibration.presets import PRESETS, build_space, refined
+from suspension_twin.calibration.request import CalibrationRequest
+from suspension_twin.calibration.run import calibrate
+from suspension_twin.calibration.setup import set_up
+from suspension_twin.drive.write import write_drive
+from suspension_twin.inference.simulated import simulate_drive
+from suspension_twin.inference.space import is_fine
+from suspension_twin.inference.synthetic import synthetic_drive
+from suspension_twin.road import write_road
+from suspension_twin.road.roughness import iso8608_road
+from suspension_twin.vehicle.twin import RoadFile, Twin, load_twin, save_twin
+
+AXLES = ("front", "rear")
+TWINS = Path(__file__).resolve().parents[2] / "config" / "twins"
+
+
+def force(twin: Twin, axle: str, x: Any) -> Any:
+    at, f = (np.r_[0.0, v] for v in getattr(twin.vehicle, axle).spring.points)
+    return np.interp(x, at, f)
+
+
+@pytest.mark.parametrize("name", ["ford_mondeo_mk4", "bmw_320i", "vw_vanagon"])
+def test_a_refined_spring_is_the_same_curve(name: str) -> None:
+    twin = load_twin(TWINS / f"{name}.yaml")
+    fine = refined(twin)
+    for axle in AXLES:
+        static = twin.axles[axle].static_compression
+        assert is_fine(fine.axles[axle])
+        assert fine.axles[axle].static_compression == pytest.approx(static, abs=1e-5)
+        near = static + np.linspace(-0.07, 0.07, 29)
+        assert force(fine, axle, near) == pytest.approx(force(twin, axle, near), rel=0.01)
+    assert refined(fine) == fine
+
+
+def test_springs_that_are_named_stay_and_other_models_get_no_links(mondeo: Twin) -> None:
+    fine = refined(mondeo, ["vehicle.front.spring.force.1"])
+    assert fine.vehicle.front.spring == mondeo.vehicle.front.spring
+    assert fine.vehicle.rear.spring != mondeo.vehicle.rear.spring
+    corner = load_twin(TWINS / "quarter_car.yaml")
+    assert "linkage" not in str(refined(corner).vehicle)
+    msd = mondeo.model_copy(update={"model": "msd"})
+    assert refined(msd).vehicle.front.linkage is None
+
+
+@given(st.lists(st.floats(-0.7, 0.7), min_size=60, max_size=60))
+@settings(max_examples=50, deadline=None)
+def test_a_fine_spring_stands_where_it_stood_whatever_its_slopes(changes: list[float]) -> None:
+    twin = refined(load_twin(TWINS / "ford_mondeo_mk4.yaml"))
+    space = build_space(twin, PRESETS["fast"])
+    z = space.z0 + np.array(changes[: len(space)])
+    values = space.from_slopes(z)
+    found = space.applied(twin, values)
+    for axle in AXLES:
+        assert found.axles[axle].static_compression == pytest.approx(
+            twin.axles[axle].static_compression, abs=1e-6
+        )
+    again = space.from_slopes(space.to_slopes(values))
+    assert again == pytest.approx(values, rel=1e-6, abs=1e-6)
+
+
+def test_neighbours_of_a_fine_spring_change_together(mondeo: Twin) -> None:
+    """The prior of the rate's change over 20 cm is that of two points of the car paper's grid, however fine it is."""
+    coarse, fine = (build_space(t, PRESETS["fast"]) for t in (mondeo, refined(mondeo)))
+
+    def correlation(space: Any, first: int, second: int) -> float:
+        covariance = space.prior_covariance(0.8)
+        a, b = (space.keys.index(f"vehicle.front.spring.force.{i}") for i in (first, second))
+        return float(covariance[a, b] / np.sqrt(covariance[a, a] * covariance[b, b]))
+
+    assert correlation(coarse, 1, 2) == pytest.approx(0.8)
+    x = fine.curves[0].x
+    assert correlation(fine, 0, 5) == pytest.approx(0.8 ** ((x[5] - x[0]) / 0.2))
+    assert np.linalg.eigvalsh(fine.prior_covariance(0.8)).min() > 0
+
+
+def test_the_papers_preset_and_named_numbers_stay_as_they_are(rough_case: Any) -> None:
+    for preset, free in (("paper", ()), ("fast", ("vehicle.front.spring",))):
+        request = CalibrationRequest(rough_case.twin, (rough_case.bag("one"),), preset=preset, free=free)
+        setup = set_up(request, lambda _: None, lambda: False)
+        assert setup.twin.vehicle.front.linkage is None
+        assert len(setup.twin.vehicle.front.spring.force) == 4
+
+
+@pytest.mark.long
+def test_a_car_with_progressive_springs_and_links_is_found_from_straight_ones(
+    mondeo: Twin, tmp_path: Path
+) -> None:
+    """Beyond the noise, the gap of straight springs without links at a drive that no fit has seen is more than halved."""
+    road = iso8608_road("D", 160.0, seed=5, x=4.0, y=2.0, heading=0.3)
+    write_road(road, tmp_path / "road.crg")
+    start = mondeo.model_copy(update={"road": RoadFile(file=tmp_path / "road.crg")})
+    save_twin(start, tmp_path / "twin.yaml")
+    fine = refined(start)
+    changes: dict[str, object] = {
+        "vehicle.front.linkage": {"braking": 0.4},
+        "vehicle.rear.linkage": {"braking": 0.7},
+    }
+    for axle in AXLES:
+        x, f = getattr(fine.vehicle, axle).spring.points
+        away = np.clip((x - fine.axles[axle].static_compression) / 0.06, -1, 1)
+        slopes = np.diff(f, prepend=0.0) / np.diff(x, prepend=0.0) * (1.0 + 0.35 * away)
+        changes[f"vehicle.{axle}.spring.force"] = tuple(np.cumsum(slopes * np.diff(x, prepend=0.0)).tolist())
+    truth = fine.with_changes(changes)
+    drives = {}
+    for name, top, seed in (("one", 7.0, 1), ("two", 5.0, 2), ("three", 8.5, 3)):
+        knots = [(0, 0), (3.2, 0), (6, top), (9, 0.5 * top), (12, top), (16, top), (18, 0), (19.5, 0)]
+        drives[name] = synthetic_drive(truth, road, knots, seed=seed, name=name)
+        write_drive(drives[name], tmp_path / name)
+    bags = tuple(str(tmp_path / name) for name in ("one", "two"))
+    curves = tuple(f"vehicle.{a}.{part}" for a in AXLES for part in ("spring", "damper_push", "damper_pull"))
+    left = {}
+    for kind, free in (("straight", curves), ("refined", ())):
+        found = calibrate(CalibrationRequest(str(tmp_path / "twin.yaml"), bags, free=free)).twin
+        left[kind] = simulate_drive(drives["three"], found, road).gap.rms
+    noise = simulate_drive(drives["three"], truth, road).gap.rms
+    beyond = {kind: np.sqrt(max(rms**2 - noise**2, 0.0)) for kind, rms in left.items()}
+    assert beyond["refined"] < 0.5 * beyond["straight"]
