@@ -14,7 +14,7 @@ from suspension_twin.calibration.pattern import PatternSettings
 from suspension_twin.effects.registry import effect
 from suspension_twin.errors import InputError, nearest
 from suspension_twin.inference.gauss_newton import GaussNewtonSettings
-from suspension_twin.inference.priors import TABLES, PointBounds, prior_of
+from suspension_twin.inference.priors import TABLES, prior_of
 from suspension_twin.inference.space import CURVES, Space, bounds_of, curve_keys
 from suspension_twin.models.parameters import Parameter, layout, twin_value
 from suspension_twin.models.registry import model_of
@@ -26,13 +26,13 @@ __all__ = ["PRESETS", "TABLE_2", "Preset", "build_space", "preset_named", "with_
 #: The car paper's Table 2: for each characteristic its abscissae (m, m/s) and the bounds (N) of each point.
 TABLE_2: Mapping[str, tuple[tuple[float, ...], tuple[tuple[float, float], ...]]] = {
     key: (part.x, part.bounds)
-    for name, part in TABLES.table_2.parts.items()
+    for name, part in TABLES.table_2.items()
     for key in (f"vehicle.front.{name}", f"vehicle.rear.{name}")
 }
 
 
 @dataclass(frozen=True, kw_only=True)
-class Comparison:
+class Judgement:
     """How candidates are judged. ``synchronise``: each candidate is aligned in time on its own before it is judged, as
     the car paper does; otherwise offsets are unknowns like others. ``slowest``: of controlled runs the slowest are
     fitted alone, the others validate."""
@@ -45,9 +45,9 @@ class Comparison:
 
 @dataclass(frozen=True, kw_only=True)
 class FreeNumbers:
-    """What is free: the points of the characteristics, on the car paper's ``table_2``, and ``also`` these keys; or
-    ``keys`` instead, of a vehicle that has them. ``reach``: by which factor a point may move either way where nobody
-    gave bounds."""
+    """Numbers that are free: the points of the characteristics, on the car paper's ``table_2``, and ``also`` some keys;
+    or ``keys`` instead, of a vehicle that has them. ``reach``: by which factor a point may move either way where
+    nobody gave bounds."""
 
     table_2: bool
     also: tuple[str, ...] = ()
@@ -56,7 +56,7 @@ class FreeNumbers:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Preset(Comparison, FreeNumbers):
+class Preset(Judgement, FreeNumbers):
     """A ready way to calibrate. ``search`` "genetic" (GA, then pattern search) or "squares" (Gauss-Newton, CMA-ES where
     the objective is no sum of squares)."""
 
@@ -123,19 +123,14 @@ def preset_named(name: str) -> Preset:
     return PRESETS[name]
 
 
-def _of_table_2(curve: str) -> PointBounds:
-    """Abscissae and bounds of a characteristic."""
-    return TABLES.table_2.parts[curve.rpartition(".")[2]]
-
-
 def with_table_2(twin: Twin) -> Twin:
     """The twin with its characteristics on Table 2's abscissae, through the points they had there."""
     changes: dict[str, object] = {}
     for key in CURVES:
         if not curve_keys(twin, [key]):
             continue
-        abscissae = _of_table_2(key).x
         part = key.rpartition(".")[2]
+        abscissae = TABLES.table_2[part].x
         x, force = twin_value(twin, key).points
         slope = (force[-1] - (force[-2] if x.size > 1 else 0.0)) / (x[-1] - (x[-2] if x.size > 1 else 0.0))
         at = np.array(abscissae)
@@ -223,7 +218,7 @@ def _parameter(twin: Twin, key: str, preset: Preset, bounds: Mapping[str, tuple[
     curve, _, index = key.rpartition(".force.")
     if curve in CURVES:
         if given is None and preset.table_2:
-            given = _of_table_2(curve).bounds[int(index)]
+            given = TABLES.table_2[curve.rpartition(".")[2]].bounds[int(index)]
         low, high = given or (nominal / preset.reach, max(nominal * preset.reach, 1.0))
         return TABLES.point.about(key, nominal, (low, high))
     if key.startswith("effects."):
@@ -233,7 +228,10 @@ def _parameter(twin: Twin, key: str, preset: Preset, bounds: Mapping[str, tuple[
     if prior is None:
         if given is None:
             raise InputError("free parameters", key, "needs bounds: nothing is known of how far it may go")
-        return TABLES.unlisted.about(key, nominal, given)
+        known = TABLES.unlisted
+        if min(*given, nominal) <= 0:
+            known = known.model_copy(update={"scale": "linear"}).within(given)
+        return known.about(key, nominal, given)
     return prior.about(key, nominal, given)
 
 

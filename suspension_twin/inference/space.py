@@ -69,14 +69,6 @@ class Curve:
         return self.key.rpartition(".")[2]
 
     @property
-    def label(self) -> str:
-        return self.key.removeprefix("vehicle.").replace(".", " ").replace("_", " ")
-
-    @property
-    def quantity(self) -> str:
-        return "compression" if self.key.endswith("spring") else "velocity"
-
-    @property
     def unit(self) -> str:
         return "m" if self.key.endswith("spring") else "m/s"
 
