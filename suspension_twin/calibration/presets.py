@@ -69,7 +69,7 @@ class Preset(Judgement, FreeNumbers):
 
 
 #: Weight 0 stands for "by the channels' floors": each counts in units of its own noise.
-_ALL_MOTION = {"vertical_acceleration": 0.0, "roll_rate": 0.0, "pitch_rate": 0.0}
+_ALL_MOTION = dict.fromkeys(("vertical_acceleration", "roll_rate", "pitch_rate"), 0.0)
 
 PRESETS: Mapping[str, Preset] = {
     "fast": Preset(
@@ -97,12 +97,9 @@ PRESETS: Mapping[str, Preset] = {
         search="genetic",
         objective="correlation",
         # Its markers' vertical motion, front and rear, is what heave and pitch are together.
-        channels={
-            "vertical_acceleration": 0.5,
-            "pitch_rate": 0.5,
-            "marker_A_displacement": 0.5,
-            "marker_B_displacement": 0.5,
-        },
+        channels=dict.fromkeys(
+            ("vertical_acceleration", "pitch_rate", "marker_A_displacement", "marker_B_displacement"), 0.5
+        ),
         synchronise=True,
         table_2=False,
         genetic=GaSettings(population=40, generations=30, stall_generations=30, elite_share=0.05),
