@@ -178,7 +178,7 @@ def test_a_curve_says_what_it_is(mondeo: Twin) -> None:
     assert (spring.axle, spring.part, spring.unit) == ("front", "spring", "m")
     assert (damper.axle, damper.part, damper.unit) == ("front", "damper_pull", "m/s")
     alone = Curve("vehicle.damper_push", spring.x, spring.force, (0, 1, 2, 3))
-    assert (alone.axle, alone.part, alone.label, alone.unit) == ("", "damper_push", "damper push", "m/s")
+    assert (alone.axle, alone.part, alone.unit) == ("", "damper_push", "m/s")
     assert spring.rows == (0, 1, 2, 3) and spring.x.tolist() == [0.1, 0.3, 0.5, 1.0]
 
 
