@@ -9,16 +9,16 @@ from typing import Literal
 
 import numpy as np
 
+from suspension_twin.arrays import Floats
 from suspension_twin.calibration.genetic import GaSettings
 from suspension_twin.calibration.pattern import PatternSettings
 from suspension_twin.effects.registry import effect
 from suspension_twin.errors import InputError, nearest
 from suspension_twin.inference.gauss_newton import GaussNewtonSettings
-from suspension_twin.inference.priors import TABLES, PointBounds, prior_of
+from suspension_twin.inference.priors import TABLES, prior_of
 from suspension_twin.inference.space import CURVES, Space, bounds_of, curve_keys, is_fine
-from suspension_twin.arrays import Floats
-from suspension_twin.models.parts import OPTIONAL_PARTS, has_part
 from suspension_twin.models.parameters import Parameter, layout, twin_value
+from suspension_twin.models.parts import OPTIONAL_PARTS, has_part
 from suspension_twin.models.registry import model_of
 from suspension_twin.vehicle.tracked import BOUNDS
 from suspension_twin.vehicle.twin import EffectSpec, Twin
@@ -38,7 +38,7 @@ __all__ = [
 #: The car paper's Table 2: for each characteristic its abscissae (m, m/s) and the bounds (N) of each point.
 TABLE_2: Mapping[str, tuple[tuple[float, ...], tuple[tuple[float, float], ...]]] = {
     key: (part.x, part.bounds)
-    for name, part in TABLES.table_2.parts.items()
+    for name, part in TABLES.table_2.items()
     for key in (f"vehicle.front.{name}", f"vehicle.rear.{name}")
 }
 
@@ -52,7 +52,7 @@ _TRAVEL, _END = (-0.06, -0.03, -0.01, 0.01, 0.03, 0.06), 0.12
 
 
 @dataclass(frozen=True, kw_only=True)
-class Comparison:
+class Judgement:
     """How candidates are judged. ``synchronise``: each candidate is aligned in time on its own before it is judged, as
     the car paper does; otherwise offsets are unknowns like others. ``slowest``: of controlled runs the slowest are
     fitted alone, the others validate."""
@@ -65,9 +65,10 @@ class Comparison:
 
 @dataclass(frozen=True, kw_only=True)
 class FreeNumbers:
-    """What is free: the points of the characteristics, on the car paper's ``table_2``, and ``also`` these keys; or
-    ``keys`` instead, of a vehicle that has them. ``reach``: by which factor a point may move either way where nobody
-    gave bounds. ``refined``: springs get points about the standing car where they have few, and the car gets links."""
+    """Numbers that are free: the points of the characteristics, on the car paper's ``table_2``, and ``also`` some keys;
+    or ``keys`` instead, of a vehicle that has them. ``reach``: by which factor a point may move either way where
+    nobody gave bounds. ``refined``: springs get points about the standing car where they have few, and the car gets
+    links."""
 
     table_2: bool
     refined: bool = False
@@ -77,7 +78,7 @@ class FreeNumbers:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Preset(Comparison, FreeNumbers):
+class Preset(Judgement, FreeNumbers):
     """A ready way to calibrate. ``search`` "genetic" (GA, then pattern search) or "squares" (Gauss-Newton, CMA-ES where
     the objective is no sum of squares)."""
 
@@ -90,7 +91,7 @@ class Preset(Comparison, FreeNumbers):
 
 
 #: Weight 0 stands for "by the channels' floors": each counts in units of its own noise.
-_ALL_MOTION = {"vertical_acceleration": 0.0, "roll_rate": 0.0, "pitch_rate": 0.0}
+_ALL_MOTION = dict.fromkeys(("vertical_acceleration", "roll_rate", "pitch_rate"), 0.0)
 
 PRESETS: Mapping[str, Preset] = {
     "fast": Preset(
@@ -119,12 +120,9 @@ PRESETS: Mapping[str, Preset] = {
         search="genetic",
         objective="correlation",
         # Its markers' vertical motion, front and rear, is what heave and pitch are together.
-        channels={
-            "vertical_acceleration": 0.5,
-            "pitch_rate": 0.5,
-            "marker_A_displacement": 0.5,
-            "marker_B_displacement": 0.5,
-        },
+        channels=dict.fromkeys(
+            ("vertical_acceleration", "pitch_rate", "marker_A_displacement", "marker_B_displacement"), 0.5
+        ),
         synchronise=True,
         table_2=False,
         genetic=GaSettings(population=40, generations=30, stall_generations=30, elite_share=0.05),
@@ -145,19 +143,14 @@ def preset_named(name: str) -> Preset:
     return PRESETS[name]
 
 
-def _of_table_2(curve: str) -> PointBounds:
-    """Abscissae and bounds of a characteristic."""
-    return TABLES.table_2.parts[curve.rpartition(".")[2]]
-
-
 def with_table_2(twin: Twin) -> Twin:
     """The twin with its characteristics on Table 2's abscissae, through the points they had there."""
     changes: dict[str, object] = {}
     for key in CURVES:
         if not curve_keys(twin, [key]):
             continue
-        abscissae = _of_table_2(key).x
         part = key.rpartition(".")[2]
+        abscissae = TABLES.table_2[part].x
         x, force = twin_value(twin, key).points
         values = _along(x, force, np.array(abscissae))
         name = "compression" if part == "spring" else "velocity"
@@ -273,7 +266,7 @@ def _parameter(twin: Twin, key: str, preset: Preset, bounds: Mapping[str, tuple[
     curve, _, index = key.rpartition(".force.")
     if curve in CURVES:
         if given is None and preset.table_2:
-            given = _of_table_2(curve).bounds[int(index)]
+            given = TABLES.table_2[curve.rpartition(".")[2]].bounds[int(index)]
         low, high = given or (nominal / preset.reach, max(nominal * preset.reach, 1.0))
         return TABLES.point.about(key, nominal, (low, high))
     if key.startswith("effects."):
@@ -283,7 +276,10 @@ def _parameter(twin: Twin, key: str, preset: Preset, bounds: Mapping[str, tuple[
     if prior is None:
         if given is None:
             raise InputError("free parameters", key, "needs bounds: nothing is known of how far it may go")
-        return TABLES.unlisted.about(key, nominal, given)
+        known = TABLES.unlisted
+        if min(*given, nominal) <= 0:
+            known = known.model_copy(update={"scale": "linear"}).within(given)
+        return known.about(key, nominal, given)
     return prior.about(key, nominal, given)
 
 

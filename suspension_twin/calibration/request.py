@@ -258,6 +258,10 @@ class SearchSummary:
         """How many generations were searched."""
         return len(self.history)
 
+    @property
+    def _change(self) -> str:
+        return f"cost ({self.objective}) {self.initial_cost:.4g} to {self.cost:.4g} in {self.evaluations} evaluations"
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Estimates:
@@ -293,30 +297,30 @@ class CalibrationResult(SearchSummary, Estimates):
         return {s: count for s, count in found.items() if count}
 
     @property
+    def _counted(self) -> str:
+        return ", ".join(f"{count} {status}" for status, count in self.counts.items())
+
+    @property
     def message(self) -> str:
         """One line: costs, gaps and how many parameters were identified."""
         state = "stopped, the best so far: " if self.stopped else ""
-        change = f"cost ({self.objective}) {self.initial_cost:.4g} to {self.cost:.4g} in {self.evaluations} evaluations"
         if not self.drives:
-            return f"{state}{change}"
+            return f"{state}{self._change}"
         gaps = ", ".join(
             f"{d.name} {d.gap_before.rms:.3g} to {d.gap_after.rms:.3g} {channel_unit(d.channel)}"
             for d in self.drives
         )
-        counts = ", ".join(f"{count} {status}" for status, count in self.counts.items())
         distance = ""
         if np.isfinite(self.distance):
             distance = f"; distance (eq. 1) {self.initial_distance:.4g} to {self.distance:.4g} m/s²"
-        return f"{state}{change}{distance}; gap {gaps}; {counts} of {len(self.estimates)} parameters"
+        return f"{state}{self._change}{distance}; gap {gaps}; {self._counted} of {len(self.estimates)} parameters"
 
     def __str__(self) -> str:
-        counts = ", ".join(f"{count} {status}" for status, count in self.counts.items())
         bounds = ", ".join(e.key for e in self.estimates if e.on_bound)
-        cost = f"cost ({self.objective}) {self.initial_cost:.4g} to {self.cost:.4g}"
         lines = [
             *map(repr, self.drives),
-            f"{cost} in {self.evaluations} evaluations, {self.seconds:.1f} s{', stopped' if self.stopped else ''}",
-            f"{len(self.estimates)} parameters: {counts or 'no uncertainty was computed'}",
+            f"{self._change}, {self.seconds:.1f} s{', stopped' if self.stopped else ''}",
+            f"{len(self.estimates)} parameters: {self._counted or 'no uncertainty was computed'}",
             *([f"on a bound: {bounds}"] if bounds else []),
         ]
         return bulleted(

@@ -24,7 +24,7 @@ from suspension_twin.inference.posterior import travel
 from suspension_twin.inference.problem import Interrupted, Problem
 from suspension_twin.inference.spring_position import standing_at
 
-__all__ = ["in_floors", "moved", "run_squares"]
+__all__ = ["LIKELIHOOD", "in_floors", "moved", "run_squares"]
 
 _EXPECTED = 700.0  # evaluations, for the time left
 _STARTS = 24
@@ -54,7 +54,7 @@ class _Round:
 _DESCENT = GaussNewtonSettings(iterations=3, tolerance=1e-3)
 _SEARCH = GaussNewtonSettings(iterations=4, tolerance=1e-2)
 #: A likelihood's minimum is found where -2 log likelihood falls by less than a tenth.
-_LIKELIHOOD = GaussNewtonSettings(iterations=15, tolerance=0.0, absolute=0.1, patience=1)
+LIKELIHOOD = GaussNewtonSettings(iterations=15, tolerance=0.0, absolute=0.1, patience=1)
 
 
 class _Counted:
@@ -147,8 +147,8 @@ class _Fit:
             yield _Round("hop", 2 * number + 1, _SEARCH)
         yield _Round("squares", 2, self.recorder.setup.preset.squares)
         if self.balanced and (self.recorder.waits_for("likelihood") or self.floors() < NEAR_FLOOR):
-            yield _Round("likelihood", 0, _LIKELIHOOD)
-            yield _Round("likelihood", 1, _LIKELIHOOD)
+            yield _Round("likelihood", 0, LIKELIHOOD)
+            yield _Round("likelihood", 1, LIKELIHOOD)
 
     def explore(self) -> None:
         """Start from the best of two dozen stiffer, softer, harder and weaker versions of the preset."""

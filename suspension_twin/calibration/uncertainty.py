@@ -28,8 +28,8 @@ from suspension_twin.calibration.presets import PRESETS, build_space
 from suspension_twin.calibration.recorder import SearchOutcome
 from suspension_twin.calibration.request import Band, CurveEstimate
 from suspension_twin.calibration.setup import Setup
-from suspension_twin.calibration.squares import in_floors
-from suspension_twin.inference.gauss_newton import GaussNewton, GaussNewtonSettings
+from suspension_twin.calibration.squares import LIKELIHOOD, in_floors
+from suspension_twin.inference.gauss_newton import GaussNewton
 from suspension_twin.inference.noise import NEAR_FLOOR, ScaledObjective, Whitener
 from suspension_twin.inference.objectives import Objective, Term
 from suspension_twin.inference.posterior import Posterior, Travel, posterior, span_of, travel
@@ -49,7 +49,7 @@ _LEVEL = 1.0 - (INTERVAL[1] - INTERVAL[0])
 #: Posterior over prior variance at which data and prior are worth the same.
 _EQUAL_INFORMATION = 0.5
 _GRID = 120
-_POLISH = GaussNewtonSettings(iterations=12, tolerance=0.0, absolute=0.1, patience=1)
+_POLISH = replace(LIKELIHOOD, iterations=12)
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,11 +22,6 @@ from suspension_twin.effects.base import (
 
 _stiffness = ((0.0, 1.0e5), Prior(0.0, 1.5e4), "N/m")
 
-_PARAMETERS = (
-    Parameter("front_stiffness", *_stiffness, "force at each front wheel per difference of compression"),
-    Parameter("rear_stiffness", *_stiffness, "the same at the rear"),
-)
-
 
 _FIELDS = Fields()
 _STIFFNESS = _FIELDS.add(AXLE)  # force per difference of compression, N/m
@@ -49,7 +44,10 @@ EFFECT = Effect(
     where="strut",
     doc="A torsion bar pulls the more compressed side of an axle up and the other down, in proportion to the "
     "difference of the two compressions. Nothing where both sides move together.",
-    parameters=_PARAMETERS,
+    parameters=(
+        Parameter("front_stiffness", *_stiffness, "force at each front wheel per difference of compression"),
+        Parameter("rear_stiffness", *_stiffness, "the same at the rear"),
+    ),
     order=80,
     severity=("front_stiffness", "rear_stiffness"),
     excited_by=("roll", "one-sided bumps", "cornering"),

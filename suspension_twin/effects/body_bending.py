@@ -26,15 +26,6 @@ from suspension_twin.effects.base import (
 )
 from suspension_twin.models.full_car import BAD_ACCELERATION
 
-_PARAMETERS = (
-    Parameter(
-        "gain", (-3.0, 3.0), Prior(0.0, 0.5), "", "share of the body's acceleration that drives the mode"
-    ),
-    Parameter("frequency", (5.0, 45.0), Prior(22.0, 1.4, "factor"), "Hz", "of the mode", neutral=22.0),
-    Parameter("damping_ratio", (0.005, 0.3), Prior(0.03, 2.0, "factor"), "", "of the mode", neutral=0.03),
-)
-
-
 _FIELDS = Fields()
 _STIFFNESS = _FIELDS.add()  # square of the mode's angular frequency, 1/s²
 _DAMPING = _FIELDS.add()  # 2 zeta omega, 1/s
@@ -82,7 +73,13 @@ EFFECT = Effect(
     where="body",
     doc="The first bending mode of the body, driven by the forces of the struts: the sensor rides on it and "
     "feels its acceleration on top of the rigid body's.",
-    parameters=_PARAMETERS,
+    parameters=(
+        Parameter(
+            "gain", (-3.0, 3.0), Prior(0.0, 0.5), "", "share of the body's acceleration that drives the mode"
+        ),
+        Parameter("frequency", (5.0, 45.0), Prior(22.0, 1.4, "factor"), "Hz", "of the mode", neutral=22.0),
+        Parameter("damping_ratio", (0.005, 0.3), Prior(0.03, 2.0, "factor"), "", "of the mode", neutral=0.03),
+    ),
     order=140,
     severity=("gain",),
     excited_by=("wheel hop", "sharp edges", "rough road at speed"),

@@ -5,16 +5,6 @@ from __future__ import annotations
 
 from suspension_twin.effects.base import ClockChange, Effect, Given, Hook, Parameter, Prior, Values, plain
 
-_PARAMETERS = (
-    Parameter(
-        "drift_ppm",
-        (-50000.0, 50000.0),
-        Prior(0.0, 300.0, usual=50.0),
-        "ppm",
-        "rate of the IMU clock less one",
-    ),
-)
-
 
 def _clock(change: ClockChange, p: Values) -> None:
     change.drift[:] += 1e-6 * p["drift_ppm"]
@@ -31,7 +21,15 @@ EFFECT = Effect(
     where="time",
     doc="The clock that stamps the IMU runs fast by so many parts in a million: the offset against the GPS "
     "receiver's clock is 0 at the start of each drive and grows.",
-    parameters=_PARAMETERS,
+    parameters=(
+        Parameter(
+            "drift_ppm",
+            (-50000.0, 50000.0),
+            Prior(0.0, 300.0, usual=50.0),
+            "ppm",
+            "rate of the IMU clock less one",
+        ),
+    ),
     order=230,
     severity=("drift_ppm",),
     excited_by=("long drives", "bumps early and late"),

@@ -20,14 +20,6 @@ from suspension_twin.effects.base import (
     rows,
 )
 
-_PARAMETERS = (
-    Parameter("loss", (0.0, 0.95), Prior(0.0, 0.3), "", "share of the damping that is lost at last"),
-    Parameter(
-        "time_constant", (2.0, 5000.0), Prior(60.0, 3.0, "factor"), "s", "of the way there", neutral=60.0
-    ),
-)
-
-
 _FIELDS = Fields()
 _LOSS = _FIELDS.add()  # share of the damping lost at last
 _PACE = _FIELDS.add()  # growth of the heat, 1/s
@@ -59,7 +51,12 @@ EFFECT = Effect(
     where="strut",
     doc="All damper forces fall from their cold value towards (1 - loss) of it, with a time constant, from the "
     "start of each drive.",
-    parameters=_PARAMETERS,
+    parameters=(
+        Parameter("loss", (0.0, 0.95), Prior(0.0, 0.3), "", "share of the damping that is lost at last"),
+        Parameter(
+            "time_constant", (2.0, 5000.0), Prior(60.0, 3.0, "factor"), "s", "of the way there", neutral=60.0
+        ),
+    ),
     order=90,
     severity=("loss",),
     excited_by=("long drives", "the same road early and late"),

@@ -27,25 +27,6 @@ from suspension_twin.effects.base import (
     rows,
 )
 
-_PARAMETERS = (
-    Parameter(
-        "force",
-        (0.0, 6000.0),
-        Prior(0.0, 300.0, usual=5.0),
-        "N",
-        "amplitude, in the vertical above the front axle",
-    ),
-    Parameter(
-        "frequency", (0.0, 50.0), Prior(10.0, 8.0), "Hz", "at standstill, and at any speed of a fixed tone"
-    ),
-    Parameter(
-        "per_metre", (0.0, 4.0), Prior(0.5, 0.5), "1/m", "by which the frequency rises with the speed in m/s"
-    ),
-    Parameter("floor", (0.0, 50.0), Prior(0.0, 8.0), "Hz", "least frequency: the engine idles"),
-    Parameter("phase", (-7.0, 7.0), Prior(0.0, math.pi), "rad", "at the drive's start", each_drive=True),
-)
-
-
 _FIELDS = Fields()
 _SIZE = _FIELDS.add()  # N
 _OMEGA = _FIELDS.add()  # at standstill, rad/s
@@ -92,7 +73,31 @@ EFFECT = Effect(
     doc="A harmonic force on the body above the front axle, whose frequency is one part that is fixed and one that is "
     "proportional to the speed, but not below that of the idling engine: max(floor, frequency + per_metre v). A fan, "
     "an order of the engine in one gear, or both. A pause of more than 0.5 s in a recording begins a new phase.",
-    parameters=_PARAMETERS,
+    parameters=(
+        Parameter(
+            "force",
+            (0.0, 6000.0),
+            Prior(0.0, 300.0, usual=5.0),
+            "N",
+            "amplitude, in the vertical above the front axle",
+        ),
+        Parameter(
+            "frequency",
+            (0.0, 50.0),
+            Prior(10.0, 8.0),
+            "Hz",
+            "at standstill, and at any speed of a fixed tone",
+        ),
+        Parameter(
+            "per_metre",
+            (0.0, 4.0),
+            Prior(0.5, 0.5),
+            "1/m",
+            "by which the frequency rises with the speed in m/s",
+        ),
+        Parameter("floor", (0.0, 50.0), Prior(0.0, 8.0), "Hz", "least frequency: the engine idles"),
+        Parameter("phase", (-7.0, 7.0), Prior(0.0, math.pi), "rad", "at the drive's start", each_drive=True),
+    ),
     order=145,
     severity=("force",),
     tone=Harmonic(

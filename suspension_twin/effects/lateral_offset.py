@@ -5,12 +5,6 @@ from __future__ import annotations
 
 from suspension_twin.effects.base import Effect, Given, Hook, Parameter, Prior, RoadChange, Values, more
 
-_PARAMETERS = (
-    Parameter(
-        "offset", (-4.0, 4.0), Prior(0.0, 0.3, usual=0.03), "m", "across the reference line, to the left"
-    ),
-)
-
 
 def _road(change: RoadChange, p: Values) -> None:
     change.left[:] += p["offset"]
@@ -25,7 +19,11 @@ EFFECT = Effect(
     title="map shifted across the road",
     where="road",
     doc="The vehicle is, on the road of the file, this much further to the left than its pose says.",
-    parameters=_PARAMETERS,
+    parameters=(
+        Parameter(
+            "offset", (-4.0, 4.0), Prior(0.0, 0.3, usual=0.03), "m", "across the reference line, to the left"
+        ),
+    ),
     order=210,
     severity=("offset",),
     excited_by=("roads whose wheel tracks differ",),

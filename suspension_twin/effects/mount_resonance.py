@@ -19,12 +19,6 @@ from suspension_twin.effects.base import (
     plain,
 )
 
-_PARAMETERS = (
-    Parameter("gain", (0.0, 1.5), Prior(1.0, 0.2), "", "share of the holder's motion in what is read"),
-    Parameter("frequency", (4.0, 60.0), Prior(18.0, 1.6, "factor"), "Hz", "of the holder", neutral=18.0),
-    Parameter("damping_ratio", (0.005, 0.7), Prior(0.05, 2.0, "factor"), "", "of the holder", neutral=0.05),
-)
-
 
 @compiled
 def _signal(signals: Floats, t: Floats, fresh: Bools, values: Floats, state: Floats) -> None:
@@ -44,7 +38,13 @@ EFFECT = Effect(
     where="sensor",
     doc="The sensor hangs on a mass-spring-damper that is shaken at its foot; the vertical specific force that "
     "it reads is amplified near the resonance. Gain 1 is a sensor that rides on the holder wholly.",
-    parameters=_PARAMETERS,
+    parameters=(
+        Parameter("gain", (0.0, 1.5), Prior(1.0, 0.2), "", "share of the holder's motion in what is read"),
+        Parameter("frequency", (4.0, 60.0), Prior(18.0, 1.6, "factor"), "Hz", "of the holder", neutral=18.0),
+        Parameter(
+            "damping_ratio", (0.005, 0.7), Prior(0.05, 2.0, "factor"), "", "of the holder", neutral=0.05
+        ),
+    ),
     order=240,
     severity=("gain",),
     excited_by=("everything near its frequency", "a tap on the holder"),

@@ -21,12 +21,6 @@ from suspension_twin.effects.base import (
 #: Height of seats and luggage above the ground, m.
 HEIGHT = 0.75
 
-_PARAMETERS = (
-    Parameter("mass", (0.0, 1500.0), Prior(0.0, 150.0), "kg", "of the load"),
-    Parameter("x", (-1.5, 5.0), Prior(0.5, 0.8), "m", "of its centre, ahead of the rear axle", neutral=0.5),
-    Parameter("y", (-1.0, 1.0), Prior(0.0, 0.3), "m", "of its centre, to the left"),
-)
-
 
 def _vehicle(numbers: dict[str, Floats], p: Values) -> None:
     added, mass = p["mass"], numbers["vehicle.mass"]
@@ -99,7 +93,13 @@ EFFECT = Effect(
     where="body",
     doc="A point mass on the body, 0.75 m above the ground: people or luggage that the mass in the file leaves "
     "out. Mass, centre of gravity, inertia and standing compression all change.",
-    parameters=_PARAMETERS,
+    parameters=(
+        Parameter("mass", (0.0, 1500.0), Prior(0.0, 150.0), "kg", "of the load"),
+        Parameter(
+            "x", (-1.5, 5.0), Prior(0.5, 0.8), "m", "of its centre, ahead of the rear axle", neutral=0.5
+        ),
+        Parameter("y", (-1.0, 1.0), Prior(0.0, 0.3), "m", "of its centre, to the left"),
+    ),
     order=10,
     severity=("mass",),
     excited_by=("body resonance, 1 to 2 Hz", "braking and accelerating"),

@@ -5,8 +5,6 @@ from __future__ import annotations
 
 from suspension_twin.effects.base import Effect, Given, Hook, Parameter, Prior, RoadChange, Values, plain
 
-_PARAMETERS = (Parameter("offset", (-10.0, 10.0), Prior(0.0, 0.3), "m", "along the reference line, forward"),)
-
 
 def _road(change: RoadChange, p: Values) -> None:
     change.ahead[:] += p["offset"]
@@ -21,7 +19,9 @@ EFFECT = Effect(
     title="map shifted along the road",
     where="road",
     doc="The vehicle is, on the road of the file, this much further along than its pose says.",
-    parameters=_PARAMETERS,
+    parameters=(
+        Parameter("offset", (-10.0, 10.0), Prior(0.0, 0.3), "m", "along the reference line, forward"),
+    ),
     order=200,
     severity=("offset",),
     excited_by=("bumps at several speeds",),

@@ -29,26 +29,6 @@ from suspension_twin.models.hooks import Check
 #: Damping ratio of hydraulic engine mounts.
 DAMPING_RATIO = 0.08
 
-_PARAMETERS = (
-    Parameter("mass", (0.0, 600.0), Prior(180.0, 80.0), "kg", "of the powertrain"),
-    Parameter(
-        "frequency",
-        (3.0, 30.0),
-        Prior(10.0, 1.4, "factor"),
-        "Hz",
-        "on its mounts, the body held still",
-        neutral=10.0,
-    ),
-    Parameter(
-        "x",
-        (-4.0, 4.0),
-        Prior(1.2, 0.4),
-        "m",
-        "of its centre, ahead of the sprung centre of gravity",
-        neutral=1.2,
-    ),
-)
-
 
 _FIELDS = Fields()
 _MASS = _FIELDS.add()  # kg
@@ -106,7 +86,25 @@ EFFECT = Effect(
     where="body",
     doc="A part of the sprung mass, the powertrain, moves in the vertical on mounts of its own and works as an "
     "absorber on the body. The whole mass stays as the file has it.",
-    parameters=_PARAMETERS,
+    parameters=(
+        Parameter("mass", (0.0, 600.0), Prior(180.0, 80.0), "kg", "of the powertrain"),
+        Parameter(
+            "frequency",
+            (3.0, 30.0),
+            Prior(10.0, 1.4, "factor"),
+            "Hz",
+            "on its mounts, the body held still",
+            neutral=10.0,
+        ),
+        Parameter(
+            "x",
+            (-4.0, 4.0),
+            Prior(1.2, 0.4),
+            "m",
+            "of its centre, ahead of the sprung centre of gravity",
+            neutral=1.2,
+        ),
+    ),
     order=150,
     severity=("mass",),
     excited_by=("pitch and heave between 5 and 15 Hz",),

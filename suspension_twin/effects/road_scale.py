@@ -5,8 +5,6 @@ from __future__ import annotations
 
 from suspension_twin.effects.base import Effect, Given, Hook, Parameter, Prior, RoadChange, Values, more
 
-_PARAMETERS = (Parameter("scale", (-0.8, 2.0), Prior(0.0, 0.15, usual=0.03), "", "factor less one"),)
-
 
 def _road(change: RoadChange, p: Values) -> None:
     change.scale[:] *= 1 + p["scale"]
@@ -21,7 +19,7 @@ EFFECT = Effect(
     title="road heights off by a factor",
     where="road",
     doc="The road is (1 + scale) times as high as its file says.",
-    parameters=_PARAMETERS,
+    parameters=(Parameter("scale", (-0.8, 2.0), Prior(0.0, 0.15, usual=0.03), "", "factor less one"),),
     order=190,
     severity=("scale",),
     excited_by=("every unevenness",),

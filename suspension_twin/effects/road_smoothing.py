@@ -5,8 +5,6 @@ from __future__ import annotations
 
 from suspension_twin.effects.base import Effect, Given, Hook, Parameter, Prior, RoadChange, Values, plain
 
-_PARAMETERS = (Parameter("sigma", (0.005, 2.0), Prior(0.1, 2.0, "factor"), "m", "of the Gaussian"),)
-
 
 def _road(change: RoadChange, p: Values) -> None:
     change.sharpening[:] += p["sigma"]
@@ -22,7 +20,7 @@ EFFECT = Effect(
     where="road",
     doc="The file was smoothed along the road with a Gaussian of this standard deviation; the effect undoes it "
     "as far as that can be done, short waves by a factor of ten at most.",
-    parameters=_PARAMETERS,
+    parameters=(Parameter("sigma", (0.005, 2.0), Prior(0.1, 2.0, "factor"), "m", "of the Gaussian"),),
     order=170,
     severity=("sigma",),
     excited_by=("short bumps", "rough road"),

@@ -22,8 +22,6 @@ from suspension_twin.effects.base import (
     plain,
 )
 
-_PARAMETERS = (Parameter("cutoff", (0.5, 500.0), Prior(15.0, 2.0, "factor"), "Hz", "its -3 dB frequency"),)
-
 
 @compiled
 def _signal(signals: Floats, t: Floats, fresh: Bools, values: Floats, state: Floats) -> None:
@@ -48,7 +46,7 @@ EFFECT = Effect(
     title="low-pass in the sensor",
     where="sensor",
     doc="The sensor filters all its axes with a second-order Butterworth low-pass. 0 is no low-pass.",
-    parameters=_PARAMETERS,
+    parameters=(Parameter("cutoff", (0.5, 500.0), Prior(15.0, 2.0, "factor"), "Hz", "its -3 dB frequency"),),
     order=270,
     severity=("cutoff",),
     excited_by=("wheel hop", "sharp edges", "anything quick"),

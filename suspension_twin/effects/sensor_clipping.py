@@ -16,8 +16,6 @@ from suspension_twin.effects.base import (
     plain,
 )
 
-_PARAMETERS = (Parameter("range", (9.9, 400.0), Prior(15.0, 1.5, "factor"), "m/s²", "largest reading"),)
-
 
 @compiled
 def _signal(signals: Floats, t: Floats, fresh: Bools, values: Floats, state: Floats) -> None:
@@ -38,7 +36,7 @@ EFFECT = Effect(
     title="sensor clips",
     where="sensor",
     doc="Specific force beyond the range reads as the range, on each of the sensor's own axes. 0 is no limit.",
-    parameters=_PARAMETERS,
+    parameters=(Parameter("range", (9.9, 400.0), Prior(15.0, 1.5, "factor"), "m/s²", "largest reading"),),
     order=280,
     severity=("range",),
     excited_by=("peaks: bumps and potholes at speed",),

@@ -5,12 +5,6 @@ from __future__ import annotations
 
 from suspension_twin.effects.base import Effect, Floats, Given, Hook, Parameter, Prior, Values, listed, more
 
-_PARAMETERS = (
-    Parameter("x", (-4.0, 4.0), Prior(0.0, 0.5, usual=0.03), "m", "forward"),
-    Parameter("y", (-1.5, 1.5), Prior(0.0, 0.3, usual=0.03), "m", "to the left"),
-    Parameter("z", (-2.0, 2.0), Prior(0.0, 0.3, usual=0.03), "m", "up"),
-)
-
 
 def _vehicle(numbers: dict[str, Floats], p: Values) -> None:
     for i, name in enumerate(("x", "y", "z")):
@@ -30,7 +24,11 @@ EFFECT = Effect(
     title="sensor elsewhere",
     where="sensor",
     doc="The sensor's place in base_link is off by this much: pitch and roll reach it through another arm.",
-    parameters=_PARAMETERS,
+    parameters=(
+        Parameter("x", (-4.0, 4.0), Prior(0.0, 0.5, usual=0.03), "m", "forward"),
+        Parameter("y", (-1.5, 1.5), Prior(0.0, 0.3, usual=0.03), "m", "to the left"),
+        Parameter("z", (-2.0, 2.0), Prior(0.0, 0.3, usual=0.03), "m", "up"),
+    ),
     order=160,
     severity=("x", "y", "z"),
     excited_by=("pitch", "roll"),

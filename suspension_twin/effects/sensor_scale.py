@@ -19,8 +19,6 @@ from suspension_twin.effects.base import (
     more,
 )
 
-_PARAMETERS = (Parameter("scale", (-0.6, 1.0), Prior(0.0, 0.05, usual=0.01), "", "gain less one"),)
-
 
 @compiled
 def _signal(signals: Floats, t: Floats, fresh: Bools, values: Floats, state: Floats) -> None:
@@ -51,7 +49,7 @@ EFFECT = Effect(
     title="gain of the accelerometer",
     where="sensor",
     doc="The accelerometer reads (1 + scale) times the specific force on all axes, gravity included.",
-    parameters=_PARAMETERS,
+    parameters=(Parameter("scale", (-0.6, 1.0), Prior(0.0, 0.05, usual=0.01), "", "gain less one"),),
     order=260,
     severity=("scale",),
     excited_by=("gravity: standing still", "every acceleration"),

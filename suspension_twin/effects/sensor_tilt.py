@@ -26,12 +26,6 @@ from suspension_twin.effects.base import (
 
 _angle = ((-3.2, 3.2), Prior(0.0, 0.1), "rad")
 
-_PARAMETERS = (
-    Parameter("roll", *_angle, "about x, left side up"),
-    Parameter("pitch", *_angle, "about y, nose down"),
-    Parameter("yaw", *_angle, "about z, counter-clockwise"),
-)
-
 
 @compiled
 def _turn(roll: float, pitch: float, yaw: float) -> Floats:
@@ -93,7 +87,11 @@ EFFECT = Effect(
     where="sensor",
     doc="The sensor is turned against the mounting in the file (z-y-x Euler angles): gravity and the planar "
     "accelerations leak into the other axes.",
-    parameters=_PARAMETERS,
+    parameters=(
+        Parameter("roll", *_angle, "about x, left side up"),
+        Parameter("pitch", *_angle, "about y, nose down"),
+        Parameter("yaw", *_angle, "about z, counter-clockwise"),
+    ),
     order=250,
     severity=("roll", "pitch", "yaw"),
     excited_by=("braking", "cornering", "standing still"),

@@ -6,11 +6,6 @@ from __future__ import annotations
 from suspension_twin.effects._station import STATION, add, exists
 from suspension_twin.effects.base import Effect, Floats, Given, Hook, Parameter, Prior, Values, more
 
-_PARAMETERS = (
-    STATION,
-    Parameter("sag", (-0.2, 0.3), Prior(0.0, 0.06), "rad", "how far its free angle has gone up"),
-)
-
 
 def _vehicle(numbers: dict[str, Floats], p: Values) -> None:
     add(numbers, "sag", p["station"], p["sag"])
@@ -28,7 +23,10 @@ EFFECT = Effect(
     title="sagged torsion bar",
     where="strut",
     doc="The torsion bar of one road wheel's arm has set: its free angle is higher.",
-    parameters=_PARAMETERS,
+    parameters=(
+        STATION,
+        Parameter("sag", (-0.2, 0.3), Prior(0.0, 0.06), "rad", "how far its free angle has gone up"),
+    ),
     order=134,
     severity=("sag",),
     excited_by=("edges of obstacles",),

@@ -11,8 +11,6 @@ from suspension_twin.effects._station import STATION, add, exists
 from suspension_twin.effects.base import Effect, Floats, Given, Hook, Parameter, Prior, Values, changed
 from suspension_twin.vehicle.twin import Twin
 
-_PARAMETERS = (STATION, Parameter("change", (-1.0, 1.0), Prior(0.0, 0.5), "", "of its damping, as a share"))
-
 
 def _vehicle(numbers: dict[str, Floats], p: Values) -> None:
     stations = [numbers.get(f"vehicle.stations.{i}.damping") for i in range(12)]
@@ -36,7 +34,7 @@ EFFECT = Effect(
     title="one odd station's damper",
     where="strut",
     doc="The damper of one road wheel's arm has (1 + change) times its damping.",
-    parameters=_PARAMETERS,
+    parameters=(STATION, Parameter("change", (-1.0, 1.0), Prior(0.0, 0.5), "", "of its damping, as a share")),
     order=133,
     severity=("change",),
     excited_by=("speed over an obstacle",),

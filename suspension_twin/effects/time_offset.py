@@ -5,8 +5,6 @@ from __future__ import annotations
 
 from suspension_twin.effects.base import ClockChange, Effect, Given, Hook, Parameter, Prior, Values, more
 
-_PARAMETERS = (Parameter("offset", (-2.0, 2.0), Prior(0.0, 0.05), "s", "IMU stamp less GPS time"),)
-
 
 def _clock(change: ClockChange, p: Values) -> None:
     change.delay[:] += p["offset"]
@@ -22,7 +20,7 @@ EFFECT = Effect(
     where="time",
     doc="IMU stamps are later than they should be by the offset: what is stamped t happened, on the clock of "
     "the GPS receiver, at t - offset.",
-    parameters=_PARAMETERS,
+    parameters=(Parameter("offset", (-2.0, 2.0), Prior(0.0, 0.05), "s", "IMU stamp less GPS time"),),
     order=220,
     severity=("offset",),
     excited_by=("bumps at several speeds", "accelerating and braking"),

@@ -8,9 +8,6 @@ import numpy as np
 from suspension_twin.effects.base import Effect, Floats, Given, Hook, Parameter, Prior, Values, more
 from suspension_twin.vehicle.tracked import BOUNDS
 
-_PARAMETERS = (
-    Parameter("tighter", (-40.0, 40.0), Prior(0.0, 10.0), "mm", "displacement of the idler outwards"),
-)
 _KEY = "vehicle.idler.setting"
 
 
@@ -28,7 +25,9 @@ EFFECT = Effect(
     title="track tension off",
     where="track",
     doc="The idler is set further out (tighter) or in than the file says.",
-    parameters=_PARAMETERS,
+    parameters=(
+        Parameter("tighter", (-40.0, 40.0), Prior(0.0, 10.0), "mm", "displacement of the idler outwards"),
+    ),
     order=131,
     severity=("tighter",),
     excited_by=("an approach to an obstacle", "ends of obstacles"),

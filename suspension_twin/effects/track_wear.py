@@ -8,13 +8,6 @@ import numpy as np
 from suspension_twin.effects.base import Effect, Floats, Given, Hook, Parameter, Prior, Values, plain
 from suspension_twin.vehicle.tracked import BOUNDS
 
-_PARAMETERS = (
-    Parameter(
-        "stiffness", (0.02, 2.0), Prior(1.0, 0.7), "", "remaining share of the links' stiffness", neutral=1.0
-    ),
-    Parameter("elongation", (0.0, 0.06), Prior(0.0, 0.01), "m", "how much longer the whole track has become"),
-)
-
 
 def _vehicle(numbers: dict[str, Floats], p: Values) -> None:
     for key in ("track.stiffness", "track.bending_stiffness"):
@@ -34,7 +27,19 @@ EFFECT = Effect(
     title="worn track",
     where="track",
     doc="Links softer than the file says, in pull and in bending, and a longer track.",
-    parameters=_PARAMETERS,
+    parameters=(
+        Parameter(
+            "stiffness",
+            (0.02, 2.0),
+            Prior(1.0, 0.7),
+            "",
+            "remaining share of the links' stiffness",
+            neutral=1.0,
+        ),
+        Parameter(
+            "elongation", (0.0, 0.06), Prior(0.0, 0.01), "m", "how much longer the whole track has become"
+        ),
+    ),
     order=132,
     severity=("stiffness", "elongation"),
     excited_by=("an approach to an obstacle",),

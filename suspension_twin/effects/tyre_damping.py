@@ -19,13 +19,6 @@ from suspension_twin.effects.base import (
     rows,
 )
 
-_PARAMETERS = (
-    Parameter(
-        "damping", (0.0, 5000.0), Prior(0.0, 500.0, usual=50.0), "N s/m", "of one tyre, in the vertical"
-    ),
-)
-
-
 _FIELDS = Fields()
 _DAMPING = _FIELDS.add()  # of each tyre, N s/m
 
@@ -46,7 +39,11 @@ EFFECT = Effect(
     title="viscous tyre",
     where="tyre",
     doc="A damper beside the tyre's spring, between wheel and road; the two together cannot pull.",
-    parameters=_PARAMETERS,
+    parameters=(
+        Parameter(
+            "damping", (0.0, 5000.0), Prior(0.0, 500.0, usual=50.0), "N s/m", "of one tyre, in the vertical"
+        ),
+    ),
     order=120,
     severity=("damping",),
     excited_by=("wheel hop", "sharp edges"),

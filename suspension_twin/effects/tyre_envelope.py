@@ -7,15 +7,6 @@ from suspension_twin.effects.base import Effect, Given, Hook, Parameter, Prior, 
 
 #: m, of a car's tyre: a load of 4 kN over a pressure of 220 kPa and a width in contact of 0.16 m is 0.114 m (a prior).
 _USUAL = 0.12
-_PARAMETERS = (
-    Parameter(
-        "length",
-        (0.01, 2.0),
-        Prior(0.15, 1.8, "factor", usual=_USUAL),
-        "m",
-        "of the contact patch, along the road",
-    ),
-)
 
 
 def _road(change: RoadChange, p: Values) -> None:
@@ -31,7 +22,15 @@ EFFECT = Effect(
     title="contact patch",
     where="tyre",
     doc="The wheel follows the mean height over the length of its contact patch instead of the height at a point.",
-    parameters=_PARAMETERS,
+    parameters=(
+        Parameter(
+            "length",
+            (0.01, 2.0),
+            Prior(0.15, 1.8, "factor", usual=_USUAL),
+            "m",
+            "of the contact patch, along the road",
+        ),
+    ),
     order=180,
     severity=("length",),
     excited_by=("short bumps", "sharp edges"),

@@ -5,8 +5,6 @@ from __future__ import annotations
 
 from suspension_twin.effects.base import CornerChange, Effect, Given, Hook, Parameter, Prior, Values, plain
 
-_PARAMETERS = (Parameter("mass", (0.0, 300.0), Prior(40.0, 20.0), "kg", "of one wheel with hub and brake"),)
-
 
 def _corners(change: CornerChange, p: Values) -> None:
     change.wheel_mass[:] += p["mass"]
@@ -22,7 +20,7 @@ EFFECT = Effect(
     where="tyre",
     doc="Each spring and damper of the model stands on a wheel of this mass, and the wheel on the vehicle's tyre "
     "stiffness, instead of on the road itself.",
-    parameters=_PARAMETERS,
+    parameters=(Parameter("mass", (0.0, 300.0), Prior(40.0, 20.0), "kg", "of one wheel with hub and brake"),),
     order=130,
     severity=("mass",),
     excited_by=("sharp edges", "wheel hop, 8 to 16 Hz"),

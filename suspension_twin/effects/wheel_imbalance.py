@@ -29,29 +29,6 @@ from suspension_twin.effects.base import (
 )
 
 _CORNERS = "0 front left, 1 front right, 2 rear left, 3 rear right"
-_PARAMETERS = (
-    Parameter("corner", (0.0, 3.0), Prior(0.0, 3.0), "", _CORNERS, choices=(0.0, 1.0, 2.0, 3.0)),
-    # a new wheel is balanced to 5 g at the rim of 0.2 m
-    Parameter(
-        "moment", (0.0, 5.0), Prior(0.0, 0.2, usual=0.001), "kg m", "mass of the unbalance times its radius"
-    ),
-    Parameter(
-        "rolling_radius",
-        (0.2, 0.6),
-        Prior(0.31, 0.03),
-        "m",
-        "travelled distance for each radian",
-        neutral=0.31,
-    ),
-    Parameter(
-        "phase",
-        (-7.0, 7.0),
-        Prior(0.0, math.pi),
-        "rad",
-        "of the unbalance from straight up at the drive's start",
-        each_drive=True,
-    ),
-)
 
 
 _FIELDS = Fields()
@@ -133,7 +110,33 @@ EFFECT = Effect(
     doc="An unbalance turns with one wheel: a force of moment times spin squared on the hub, once a turn, where the "
     "spin is the wheel's own speed over the rolling radius. Its part along the road is in the acceleration that is "
     "measured. A pause of more than 0.5 s in a recording begins a new phase.",
-    parameters=_PARAMETERS,
+    parameters=(
+        Parameter("corner", (0.0, 3.0), Prior(0.0, 3.0), "", _CORNERS, choices=(0.0, 1.0, 2.0, 3.0)),
+        # a new wheel is balanced to 5 g at the rim of 0.2 m
+        Parameter(
+            "moment",
+            (0.0, 5.0),
+            Prior(0.0, 0.2, usual=0.001),
+            "kg m",
+            "mass of the unbalance times its radius",
+        ),
+        Parameter(
+            "rolling_radius",
+            (0.2, 0.6),
+            Prior(0.31, 0.03),
+            "m",
+            "travelled distance for each radian",
+            neutral=0.31,
+        ),
+        Parameter(
+            "phase",
+            (-7.0, 7.0),
+            Prior(0.0, math.pi),
+            "rad",
+            "of the unbalance from straight up at the drive's start",
+            each_drive=True,
+        ),
+    ),
     order=125,
     severity=("moment",),
     tone=Harmonic(

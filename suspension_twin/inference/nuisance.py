@@ -151,17 +151,18 @@ class Nuisances:
         parameters: list[Parameter] = []
         channels = tuple(channels)
 
-        def add(name: str, kind: str, sigma: float, least: float = -np.inf) -> None:
+        def add(name: str, kind: str, sigma: float | None = None, least: float = -np.inf) -> None:
+            sigma = getattr(priors, kind) if sigma is None else sigma
             if sigma > 0:
                 prior, unit = Prior(0.0, sigma), TABLES.nuisances[kind].unit
                 parameters.append(Parameter(name, (least, np.inf), prior, unit))
 
-        add("map_position", "map_position", priors.map_position)
-        add("clock_offset", "common_clock", priors.common_clock)
+        add("map_position", "map_position")
+        add("clock_offset", "common_clock")
         if self._force.any():
-            add("gain", "gain", priors.gain)
-        add("tilt_roll", "tilt", priors.tilt)
-        add("tilt_pitch", "tilt", priors.tilt)
+            add("gain", "gain")
+        add("tilt_roll", "tilt")
+        add("tilt_pitch", "tilt")
         #: Channel -> nuisance, the channel whose slope it adds, and its sign.
         self._levers = {}
         for c, name, other, sign, kind in (
@@ -169,27 +170,24 @@ class Nuisances:
             ("lateral_acceleration", "pivot_roll", "roll_rate", 1.0, "pivot"),
             ("yaw_rate", "rear_slip", "lateral_acceleration", 1.0, "slip"),
         ):
-            sigma = getattr(priors, kind)
-            if sigma > 0 and c in self.channels and other in self.channels:
+            if getattr(priors, kind) > 0 and c in self.channels and other in self.channels:
                 self._levers[c] = (name, channels.index(other), sign)
-                add(name, kind, sigma)
+                add(name, kind)
         self._mounted = (
             self.channels.index("vertical_acceleration") if "vertical_acceleration" in self.channels else -1
         )
         if self._mounted >= 0:
-            add(
-                "mount", "mount", priors.mount, least=0.0
-            )  # below its resonance an elastic mount amplifies motion
+            # below its resonance an elastic mount amplifies motion
+            add("mount", "mount", least=0.0)
         drives: dict[int, str] = {}
         for part, drive in zip(parts, drive_of, strict=True):
             if drive not in drives:
                 drives[drive] = part.name
-                add(f"{part.name}.clock_offset", "clock", priors.clock)
-                add(f"{part.name}.speed", "speed", priors.speed)
-                add(f"{part.name}.map_position", "drive_map", priors.drive_map)
+                add(f"{part.name}.clock_offset", "clock")
+                add(f"{part.name}.speed", "speed")
+                add(f"{part.name}.map_position", "drive_map")
                 for channel, force in zip(self.channels, self._force, strict=True):
-                    kind = "force_bias" if force else "rate_bias"
-                    add(f"{part.name}.bias.{channel}", kind, getattr(priors, kind))
+                    add(f"{part.name}.bias.{channel}", "force_bias" if force else "rate_bias")
         #: (m, C) of every part: the response to the planar motion alone; neither clock nor map shifts it.
         self.planar_response: tuple[Floats, ...] = ()
         self._knots: list[Floats] = []

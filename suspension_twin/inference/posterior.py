@@ -22,7 +22,7 @@ from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["Posterior", "Travel", "posterior", "span_of", "travel"]
 
-_DRAWS = 4000
+_DRAWS = 4000  # the ends of a 90 % interval to 3 % of a standard deviation
 _BLOCK_SECONDS = 1.0
 _REACHED = 0.05  # s that have to lie beyond a point before it counts as excited
 

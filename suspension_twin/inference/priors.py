@@ -28,16 +28,17 @@ _FILE: Final = Path(__file__).with_name("priors.yaml")
 class TwinPrior(Strict):
     """Prior of numbers of the twin file about the file's value.
 
-    ``spread`` is the standard deviation, of the logarithm for the ``scale`` "log"; ``reach`` the factor or distance of
-    the bounds where these are no ``bounds`` of their own; ``free``: searched by default on a vehicle without
-    characteristics.
+    ``spread`` is the standard deviation, of the logarithm for the ``scale`` "log", or ``share_of_bounds`` is that as a
+    share of the distance of the bounds; ``reach`` is the factor or distance of the bounds where these are no ``bounds``
+    of their own; ``free``: searched by default on a vehicle without characteristics.
     """
 
     keys: tuple[str, ...]
     unit: str
     source: str
     scale: Literal["linear", "log"]
-    spread: float
+    spread: float = 0.0
+    share_of_bounds: float = 0.0
     reach: float = 0.0
     bounds: tuple[float, float] | None = None
     free: bool = False
@@ -50,25 +51,19 @@ class TwinPrior(Strict):
             return nominal / self.reach, nominal * self.reach
         return nominal - self.reach, nominal + self.reach
 
+    def within(self, bounds: tuple[float, float] | None) -> TwinPrior:
+        """The prior with ``bounds`` of its own, if any, and its spread as a share of them."""
+        if bounds is None:
+            return self
+        low, high = bounds
+        width = float(np.log(high / low)) if self.scale == "log" else high - low
+        return self.model_copy(update={"bounds": bounds, "spread": self.share_of_bounds * width})
+
     def about(self, key: str, nominal: float, bounds: tuple[float, float] | None = None) -> Parameter:
         """The parameter of a twin whose file has the value ``nominal``; other ``bounds`` where they are given."""
         return Parameter(
             key, bounds or self.around(nominal), Prior(nominal, self.spread, self.scale), self.unit
         )
-
-
-class UnlistedPrior(Strict):
-    """Prior of a number of the twin file that is not listed, from the bounds that are given for it."""
-
-    log_spread: float
-    share_of_bounds: float
-    source: str
-
-    def about(self, key: str, nominal: float, bounds: tuple[float, float]) -> Parameter:
-        """The parameter of a twin, in the logarithm where it is positive."""
-        if bounds[0] > 0 and nominal > 0:
-            return Parameter(key, bounds, Prior(nominal, self.log_spread, "log"))
-        return Parameter(key, bounds, Prior(nominal, self.share_of_bounds * (bounds[1] - bounds[0])))
 
 
 class NuisancePrior(Strict):
@@ -83,74 +78,35 @@ class NuisancePrior(Strict):
     rig: float | None = 0.0
 
 
-class WholePriors(Strict):
-    """Priors of the springs and of the dampers of an axle as a whole."""
-
-    spring: TwinPrior
-    damper: TwinPrior
-
-
 class PointBounds(Strict):
-    """Abscissae of the points of a characteristic, and the bounds of each."""
+    """Abscissae of the points of a characteristic in the ``unit``, and the bounds of each in N."""
 
     x: tuple[float, ...]
     unit: str
+    source: str
     bounds: tuple[tuple[float, float], ...]
-
-
-class Table2(Strict):
-    """The car paper's Table 2 by part: spring, damper_push and damper_pull."""
-
-    source: str
-    unit: str
-    parts: dict[str, PointBounds]
-
-
-class TrackedPriors(Strict):
-    """Priors of the tracked paper's five parameters: standard deviations as a share of their bounds."""
-
-    share_of_bounds: float
-    units: dict[str, str]
-    source: str
-
-    def of(self, key: str) -> TwinPrior:
-        """The prior of a parameter, in the logarithm where it is positive."""
-        low, high = BOUNDS[key]
-        width = float(np.log(high / low)) if low > 0 else high - low
-        return TwinPrior(
-            keys=(f"vehicle.{key}",),
-            unit=self.units[key],
-            source=self.source,
-            scale="log" if low > 0 else "linear",
-            spread=self.share_of_bounds * width,
-            bounds=(low, high),
-            free=True,
-        )
 
 
 class DampingRuns(Strict):
     """The tracked paper's runs for the choice of a damping, and the number of the one that it recommends."""
 
     dampings: tuple[float, ...]
-    dampings_unit: Literal["N m s/rad"]
     speeds: tuple[float, ...]
-    speeds_unit: Literal["km/h"]
     duration: float
-    duration_unit: Literal["s"]
+    units: dict[str, str]
     recommended: int
     source: str
 
 
 class Tables(Strict):
-    """The content of ``priors.yaml``."""
+    """The content of ``priors.yaml``. ``table_2`` and ``whole`` (springs and dampers of an axle) are by part."""
 
     numbers: tuple[TwinPrior, ...]
     point: TwinPrior
-    unlisted: UnlistedPrior
-    whole: WholePriors
+    unlisted: TwinPrior
+    whole: dict[str, TwinPrior]
     nuisances: dict[str, NuisancePrior]
-    table_2: Table2
-    tracked: TrackedPriors
+    table_2: dict[str, PointBounds]
     damping: DampingRuns
 
 
@@ -158,7 +114,9 @@ TABLES: Final = checked(Tables, read_yaml(_FILE), _FILE, "a file of priors")
 
 #: By the key of a number, or by its pattern.
 PRIORS: Final[Mapping[str, TwinPrior]] = {
-    key: prior for prior in (*TABLES.numbers, *map(TABLES.tracked.of, BOUNDS)) for key in prior.keys
+    key: prior.within(BOUNDS.get(key.removeprefix("vehicle.")))
+    for prior in TABLES.numbers
+    for key in prior.keys
 }
 
 

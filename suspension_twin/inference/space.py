@@ -26,7 +26,7 @@ from suspension_twin.errors import InputError
 from suspension_twin.models.parameters import Parameter, twin_value
 from suspension_twin.vehicle.twin import Suspension, Twin
 
-__all__ = ["CURVES", "is_fine", "Curve", "Space", "curve_keys"]
+__all__ = ["CURVES", "Curve", "Space", "curve_keys", "is_fine"]
 
 #: The six characteristics of a car, in the order of the car paper's Table 2, and the three of a single corner.
 CURVES = (
@@ -74,14 +74,6 @@ class Curve:
     def part(self) -> str:
         """``spring``, ``damper_push`` or ``damper_pull``."""
         return self.key.rpartition(".")[2]
-
-    @property
-    def label(self) -> str:
-        return self.key.removeprefix("vehicle.").replace(".", " ").replace("_", " ")
-
-    @property
-    def quantity(self) -> str:
-        return "compression" if self.key.endswith("spring") else "velocity"
 
     @property
     def unit(self) -> str:

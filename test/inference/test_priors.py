@@ -147,9 +147,10 @@ def test_values_of_known_vehicles_are_within_bounds(name: str, repository: Path)
 
 
 def test_every_prior_and_table_has_its_source_and_what_has_a_unit_has_one() -> None:
-    priors = (*PRIORS.values(), TABLES.point, TABLES.whole.spring, TABLES.whole.damper)
-    assert all(p.source for p in (*priors, *TABLES.nuisances.values(), TABLES.unlisted, TABLES.tracked))
-    assert TABLES.table_2.source and TABLES.damping.source
+    priors = (*PRIORS.values(), TABLES.point, *TABLES.whole.values(), TABLES.unlisted)
+    assert all(
+        p.source for p in (*priors, *TABLES.nuisances.values(), *TABLES.table_2.values(), TABLES.damping)
+    )
     for key in ("vehicle.mass", "vehicle.cog.2", "imu.position.0", *(f"vehicle.{k}" for k in BOUNDS)):
         assert PRIORS[key].unit, key
     assert prior_of("vehicle.mass").about("vehicle.mass", 1500.0).unit == "kg"  # type: ignore[union-attr]
@@ -157,7 +158,7 @@ def test_every_prior_and_table_has_its_source_and_what_has_a_unit_has_one() -> N
 
 @pytest.mark.parametrize("part", ["spring", "damper_push", "damper_pull"])
 def test_the_points_of_table_2_rise_and_their_bounds_do_not_overlap(part: str) -> None:
-    points = TABLES.table_2.parts[part]
+    points = TABLES.table_2[part]
     assert len(points.x) == len(points.bounds) and list(points.x) == sorted(points.x)
     ends = [end for pair in points.bounds for end in pair]
     assert ends == sorted(ends)

@@ -175,10 +175,10 @@ def test_a_curve_says_what_it_is(mondeo: Twin) -> None:
         )
     ]  # fmt: skip
     spring, damper = space.curves[0], space.curves[3]
-    assert (spring.label, spring.quantity, spring.unit) == ("front spring", "compression", "m")
-    assert (damper.label, damper.quantity, damper.unit) == ("front damper pull", "velocity", "m/s")
+    assert (spring.axle, spring.part, spring.unit) == ("front", "spring", "m")
+    assert (damper.axle, damper.part, damper.unit) == ("front", "damper_pull", "m/s")
     alone = Curve("vehicle.damper_push", spring.x, spring.force, (0, 1, 2, 3))
-    assert (alone.axle, alone.part, alone.label, alone.unit) == ("", "damper_push", "damper push", "m/s")
+    assert (alone.axle, alone.part, alone.unit) == ("", "damper_push", "m/s")
     assert spring.rows == (0, 1, 2, 3) and spring.x.tolist() == [0.1, 0.3, 0.5, 1.0]
 
 

@@ -65,10 +65,10 @@ def _of(key: str, prior: TwinPrior | None = None) -> Parameter:
 #: By name; of a damper both directions. The mass is not among them: a common factor of it and all of these but the last
 #: changes no motion on any road, so that they are found relative to the mass of the twin file.
 PARAMETERS: Final[Mapping[str, Parameter]] = {
-    "front springs": _of("vehicle.front.spring.force", TABLES.whole.spring),
-    "rear springs": _of("vehicle.rear.spring.force", TABLES.whole.spring),
-    "front dampers": _of("vehicle.front.damper_*.force", TABLES.whole.damper),
-    "rear dampers": _of("vehicle.rear.damper_*.force", TABLES.whole.damper),
+    "front springs": _of("vehicle.front.spring.force", TABLES.whole["spring"]),
+    "rear springs": _of("vehicle.rear.spring.force", TABLES.whole["spring"]),
+    "front dampers": _of("vehicle.front.damper_*.force", TABLES.whole["damper"]),
+    "rear dampers": _of("vehicle.rear.damper_*.force", TABLES.whole["damper"]),
     "tyre stiffness": _of("vehicle.tyre.vertical_stiffness"),
     "front unsprung mass": _of("vehicle.front.unsprung_mass"),
     "rear unsprung mass": _of("vehicle.rear.unsprung_mass"),
