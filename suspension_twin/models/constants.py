@@ -60,7 +60,7 @@ class Outside:
 
 @dataclass(frozen=True, eq=False)
 class Constants(Outside):
-    """Constants of a car's kernel: ``values`` (rows, L) in the order of its block, ``hinges`` of its springs and dampers.
+    """Constants of a car's kernel: ``values`` (rows, L) in the order of its block, ``hinges`` of springs and dampers.
 
     ``flags`` (L,) are bits of the terms that each lane needs where the rows are those of a block with effects, else
     None.

@@ -67,9 +67,9 @@ def _no_term(w: Floats, flag: int, h: float) -> None:
     """A stage without terms."""
 
 
-#: Values that each assembly of the kernel has of its own: hinges of springs and dampers, first row of the curves, static
-#: equilibrium, the terms of the stages, and the flags of blocks that have one; flags and tyre radius in m of a lane by
-#: itself.
+#: Values that each assembly of the kernel has of its own: hinges of springs and dampers, first row of the curves,
+#: static equilibrium, the terms of the stages, and the flags of blocks that have one; flags and tyre radius in m of a
+#: lane by itself.
 _SPRING_HINGES = _DAMPER_HINGES = _CURVES = _FLAG = 0
 _RADIUS = 0.0
 _STAND = stand

@@ -98,7 +98,7 @@ def test_the_papers_preset_and_named_numbers_stay_as_they_are(rough_case: Any) -
 def test_a_car_with_progressive_springs_and_links_is_found_from_straight_ones(
     mondeo: Twin, tmp_path: Path
 ) -> None:
-    """Beyond the noise, the gap of straight springs without links at a drive that no fit has seen is more than halved."""
+    """The gap beyond the noise that straight springs without links leave of an unseen drive is more than halved."""
     road = iso8608_road("D", 160.0, seed=5, x=4.0, y=2.0, heading=0.3)
     write_road(road, tmp_path / "road.crg")
     start = mondeo.model_copy(update={"road": RoadFile(file=tmp_path / "road.crg")})
