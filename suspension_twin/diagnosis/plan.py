@@ -36,6 +36,7 @@ from suspension_twin.inference.hypothesis import Hypothesis
 from suspension_twin.inference.noise import USUAL_SHARE
 from suspension_twin.inference.observation import Observation, road_of
 from suspension_twin.inference.parallel import side_by_side
+from suspension_twin.inference.problem import REACH
 from suspension_twin.models.registry import model_of
 from suspension_twin.road import Road, add_bump, bump_road, half_sine
 from suspension_twin.vehicle.twin import Twin
@@ -63,9 +64,9 @@ SPEEDS: Final = (20.0, 40.0)
 DETECTABLE: Final = 0.5
 APART: Final = 0.25
 #: Sizes of an effect, in the scale of its prior; the last is its largest plausible size.
-_SIZES: Final = (0.1, 0.2, 0.45, 1.0, 3.0)
+_SIZES: Final = (0.1, 0.2, 0.45, 1.0, REACH)
 #: The same of a logarithmic one, in standard deviations from typical, weak to strong.
-_LOG_SIZES: Final = np.arange(-3.0, 3.0)
+_LOG_SIZES: Final = np.arange(-REACH, REACH)
 #: km/h that are tried where a pair cannot be told apart.
 _OTHER_SPEEDS: Final = (10.0, 30.0, 60.0)
 #: e-folds of size by which a change of the set-up has to be better than another to be named instead.

@@ -19,6 +19,7 @@ from scipy.linalg import block_diag
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.case import drive_problem
 from suspension_twin.errors import InputError
+from suspension_twin.inference.excited_segments import TrimSettings
 from suspension_twin.inference.gap import CHANNELS
 from suspension_twin.inference.gauss_newton import bounded_step
 from suspension_twin.inference.hypothesis import Hypothesis
@@ -39,8 +40,8 @@ __all__ = ["Change", "Products", "planned_drive", "products"]
 
 #: Of the virtual sensor: those of a phone and an RTK receiver.
 SENSOR = SensorErrors()
-#: s of a drive at most; m/s below which nothing is compared; m between a wheel and an end of the road.
-LONGEST, _SLOWEST, _MARGIN = 40.0, 0.8, 0.5
+#: s of a drive at most; m between a wheel and an end of the road.
+LONGEST, _MARGIN = 40.0, 0.5
 #: m/s² of a calm driver (Bae, Moon and Seo, Electronics 8, 2019: comfortable up to 2 m/s²).
 _ACCELERATION, _BRAKING = 1.5, 2.0
 
@@ -126,7 +127,7 @@ def planned_drive(twin: Twin, road: Road, kmh: float, name: str = "") -> Observa
         conditioner.apply,
         np.interp(grid, t, road.xy_to_uv(path.x, path.y)[0]),
         speed,
-        np.asarray(conditioner.valid & (speed > _SLOWEST)),
+        np.asarray(conditioner.valid & (speed > TrimSettings().slowest)),
         SENSOR.position,
     )
     block = np.zeros(grid.size, dtype=np.intp)  # nothing is held out of a plan
