@@ -497,7 +497,7 @@ def plan_picture() -> None:
     from suspension_twin.vehicle.twin import load_twin
 
     found = plan(load_twin(ROOT / "bags" / "bump_15kmh" / "twin.yaml"))
-    style.save(sizes_picture(found.shown), HERE / "plan.png", dpi=110)
+    style.save(sizes_picture(found.detectability), HERE / "plan.png", dpi=110)
 
 
 def rig_picture() -> None:

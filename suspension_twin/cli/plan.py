@@ -67,7 +67,7 @@ def command(
             size_text(s, s.typical),
             "" if s.size is None else wording.channel_name(s.channel),
         )
-        for s in found.shown
+        for s in found.detectability
     ]
     columns = "fault", "quantity", "shows from", "typical", "first in"
     words = "fault", "quantity", "first in"

@@ -57,18 +57,16 @@ __all__ = [
     "separating_drive",
 ]
 
+_MENU: Final = json.loads(Path(__file__).with_name("plan.json").read_text(encoding="utf-8"))
 #: km/h if none are given.
-SPEEDS: Final = (20.0, 40.0)
-#: Expected residuals from which on an effect is named, and that a rival has to leave: learnt by
-#: benchmarks/plan_confusion.py on diagnoses of the blind benchmark, whose floors are about twice these units.
-DETECTABLE: Final = 0.5
-APART: Final = 0.25
+SPEEDS: Final[tuple[float, ...]] = tuple(_MENU["speeds_kmh"])
+#: Expected residuals from which on an effect is named, and that a rival has to leave.
+DETECTABLE: Final[float] = _MENU["thresholds"]["detectable"]
+APART: Final[float] = _MENU["thresholds"]["apart"]
 #: Sizes of an effect, in the scale of its prior; the last is its largest plausible size.
 _SIZES: Final = (0.1, 0.2, 0.45, 1.0, REACH)
 #: The same of a logarithmic one, in standard deviations from typical, weak to strong.
 _LOG_SIZES: Final = np.arange(-REACH, REACH)
-#: km/h that are tried where a pair cannot be told apart.
-_OTHER_SPEEDS: Final = (10.0, 30.0, 60.0)
 #: e-folds of size by which a change of the set-up has to be better than another to be named instead.
 _BETTER: Final = 0.1
 #: Frequencies of a resonance, in standard deviations from typical; that many neighbours make one rival.
@@ -171,7 +169,7 @@ class Plan:
         km/h of the drives.
     seconds : tuple of float
         Their lengths.
-    shown : tuple of Detectability
+    detectability : tuple of Detectability
         A row for every parameter of every effect.
     effects : tuple of str
         Ids of the effects, in the order of ``angles``.
@@ -185,7 +183,7 @@ class Plan:
     --------
     >>> from suspension_twin.vehicle.twin import load_twin
     >>> found = plan(load_twin("bags/bump_15kmh/twin.yaml"), speeds=(15.0,), effects=("sensor_scale",))
-    >>> [row.channel for row in found.shown]
+    >>> [row.channel for row in found.detectability]
     ['vertical_acceleration']
     """
 
@@ -193,7 +191,7 @@ class Plan:
     road: str
     speeds: tuple[float, ...]
     seconds: tuple[float, ...]
-    shown: tuple[Detectability, ...]
+    detectability: tuple[Detectability, ...]
     effects: tuple[str, ...]
     angles: Floats
     pairs: tuple[Pair, ...]
@@ -206,7 +204,7 @@ class Plan:
             "road": self.road,
             "drives": [{"speed_kmh": kmh, "seconds": round(s, 2)} for kmh, s in drives],
             "thresholds": {"detectable": DETECTABLE, "apart": APART, "unit": "expected residual, rms"},
-            "effects": [self._row(row) for row in self.shown],
+            "effects": [self._row(row) for row in self.detectability],
             "pairs": [
                 {k: v for k, v in (asdict(pair) | {"shown": self._row(pair.shown)}).items() if k != "ray"}
                 for pair in self.pairs
@@ -449,7 +447,7 @@ def plan(
     >>> from suspension_twin.vehicle.twin import load_twin
     >>> twin = load_twin("bags/bump_15kmh/twin.yaml")
     >>> found = plan(twin, speeds=(15.0,), effects=("sensor_offset",))
-    >>> [row.parameter for row in found.shown if row.size is None]  # over a bump as wide as the road
+    >>> [row.parameter for row in found.detectability if row.size is None]  # over a bump as wide as the road
     ['y', 'z']
     """
     if model_of(twin).recordings != "drive":
@@ -635,12 +633,12 @@ def _options(twin: Twin, road: Road, drives: Sequence[Observation], speeds: Sequ
     given = [float(d.along.max()) * 3.6 for d in drives]
     options = [
         _Option(f"one more drive at {kmh:g} km/h", twin, ((road, kmh, f"{kmh:g} km/h more"),), True)
-        for kmh in _OTHER_SPEEDS
+        for kmh in _MENU["other_speeds_kmh"]
         if all(not 0.75 < kmh / v < 1.33 for v in given)
     ]
     options += [
         _Option(f"{name} at {kmh:g} km/h", twin, ((obstacle, kmh, name),), True)
-        for name, obstacle, kmh in _manoeuvres()[:3]
+        for name, obstacle, kmh in _manoeuvres(planned=True)
     ]
     x, _, z = twin.imu.position
     front, rear = (float(f(twin.vehicle.wheel_positions[:, 0])) for f in (np.max, np.min))
@@ -682,25 +680,21 @@ def _remedied(
     return best
 
 
-def _manoeuvres() -> list[tuple[str, Road, float]]:
-    """Obstacles with the speed over each in km/h; short, without a test track. The first three are those of a plan."""
-
-    def bumped(length: float, height: float) -> Road:
-        return bump_road(half_sine(length, height), at=30.0, length=70.0)
-
-    bump = bumped(0.9, 0.07)
-    left = add_bump(bumped(0.9, 1e-6), half_sine(0.9, 0.06), 40.0, v_low=0.1)
-    ripples = bump_road(half_sine(2.0, 0.004), at=[20.0 + 6.0 * i for i in range(7)], length=70.0)
+def _manoeuvres(planned: bool = False) -> list[tuple[str, Road, float]]:
+    """Obstacles with the speed over each in km/h; short, without a test track. Those of a plan alone if ``planned``."""
     return [
-        ("a speed bump (7 cm high, 0.9 m long)", bump, 20.0),
-        ("a sharp edge (3 cm high, 0.25 m long)", bumped(0.25, 0.03), 30.0),
-        ("a bump under the left wheels only", left, 20.0),
-        ("a speed bump (7 cm high, 0.9 m long)", bump, 10.0),
-        ("a speed bump (7 cm high, 0.9 m long)", bump, 40.0),
-        ("a long wave (8 cm high, 6 m long)", bumped(6.0, 0.08), 40.0),
-        ("a pothole (6 cm deep, 0.7 m long)", bumped(0.7, -0.06), 30.0),
-        ("a smooth road (ripples of 4 mm)", ripples, 40.0),
+        (one["name"], _road_of(one), one["kmh"])
+        for one in _MENU["obstacles"]
+        if one.get("planned") or not planned
     ]
+
+
+def _road_of(obstacle: Json) -> Road:
+    """70 m of flat road with an obstacle: under all wheels, or under the left ones alone."""
+    shape, left = half_sine(obstacle["length"], obstacle["height"]), obstacle.get("left", False)
+    flat = half_sine(obstacle["length"], 1e-6)
+    road = bump_road(flat if left else shape, at=obstacle.get("at", 30.0), length=70.0)
+    return add_bump(road, shape, 40.0, v_low=0.1) if left else road
 
 
 # -- the next drive of a diagnosis -------------------------------------------------------------------

@@ -45,8 +45,8 @@ __all__ = ["Search", "Single", "joint_fit", "pairs", "singles", "without_one"]
 #: Sobol points of one effect, and of all effects together; starts, peaks and sets that are fitted: the best of them.
 _STARTS, _JOINT_STARTS, _TRIED = 16, 128, 3
 _SCANNED = 32  # frequencies of a resonance scan
-#: Changes of the log slopes of springs, and of dampers, from the baseline, as starting vehicles.
-_SOFTER = (0.0, -0.3, -0.6, -1.2)
+#: Changes of the log slopes of springs from the baseline, of dampers up to twice that, as starting vehicles.
+_SOFTER = (0.0, -0.3, -0.6)
 #: Quantile of the size of the travel at which an effect with a clearance touches in its start: a stop that touches in a
 #: fifth of the drive leaves the characteristics their part.
 _TOUCHES = 0.8
@@ -97,14 +97,13 @@ class Single:
 @stored
 @dataclass(frozen=True, eq=False)
 class _FirstSearch:
-    """The first search of an effect; ``far``: found from another vehicle than the baseline."""
+    """The first search of an effect."""
 
     cost: float
     effect: str
     hypothesis: Hypothesis
     x: Floats
     powers: Floats
-    far: bool = False
 
 
 def singles(
@@ -202,8 +201,7 @@ def _on_whole_drives(
     u = part.x[p:]
     starts = [part.x, *(np.concatenate([x, u]) for x in (base.x, anchor.x))]
     starts.append(np.concatenate([base.x, v.neutral()]))
-    columns = None if part.far else anchor.at
-    x, cost = refit(problem.having(v), starts, columns, ROUGH, alternate_jacobian=part.far)
+    x, cost = refit(problem.having(v), starts, anchor.at, ROUGH)
     cost += coarse_search.MISALIGNMENT_PENALTY * bool(v.around)
     return replace(part, cost=cost, x=x, powers=part.powers / share)
 
@@ -259,11 +257,10 @@ def _first_search(
         whole = [
             start for begun, start in _softened_starts(problem, base, v, seed) if begun < _COST_RATIO * cost
         ]
-        moved = False
         for start in (*_typical_start(problem, base, v), *whole):
             y, other = refit(problem.having(v), [start], None, DEEP, alternate_jacobian=True)
-            x, cost, moved = (y, other, True) if other < cost else (x, cost, moved)
-        found.append(_FirstSearch(cost, effect, v, x, powers, moved))
+            x, cost = (y, other) if other < cost else (x, cost)
+        found.append(_FirstSearch(cost, effect, v, x, powers))
     return found
 
 
@@ -345,7 +342,10 @@ def _softened_starts(
     if effect.where not in ("strut", "tyre", "body") or effect.tone is not None:
         return []
     p, whole = problem.shared, problem.having(hypothesis)
-    vehicles = [problem.space.shifted(base.x[:p], *v) for v in product(_SOFTER, repeat=2)]
+    vehicles = [
+        problem.space.shifted(base.x[:p], springs, 2.0 * dampers)
+        for springs, dampers in product(_SOFTER, repeat=2)
+    ]
     starts = [hypothesis.starts(_STARTS // 2, seed + 1)]
     # a stop that hardly touches has the lowest cost but no gradient: starts that touch are added
     if hypothesis.has_clearance:

@@ -125,7 +125,7 @@ def test_at_one_speed_a_late_clock_is_a_shifted_map_and_other_speeds_separate_th
 
 
 def test_a_clock_offset_shows_beyond_the_range_of_the_nuisance(clocks):
-    size = next(s.size for s in clocks[1].shown if s.effect == "time_offset")
+    size = next(s.size for s in clocks[1].detectability if s.effect == "time_offset")
     assert 0.006 < size < 0.03  # three standard deviations of the nuisance, and a good deal less than typical
 
 
@@ -133,7 +133,7 @@ def test_effects_of_roll_show_on_a_one_sided_bump_alone(mondeo):
     only = ("sensor_offset", "anti_roll_bar")
     flat, lopsided = (plan(mondeo, road, (20.0,), only) for road in (across(), one_sided()))
     for found, wanted in ((flat, False), (lopsided, True)):
-        seen = {(s.effect, s.parameter): s for s in found.shown}
+        seen = {(s.effect, s.parameter): s for s in found.detectability}
         assert (seen["sensor_offset", "y"].size is not None) == wanted
         assert (seen["anti_roll_bar", "front_stiffness"].ratio > 0.1) == wanted
         assert seen["sensor_offset", "x"].size is not None
@@ -143,7 +143,11 @@ def test_effects_of_roll_show_on_a_one_sided_bump_alone(mondeo):
 def test_a_higher_bump_shows_a_smaller_fault_until_model_discrepancy_dominates(mondeo):
     """The response to the fault and the model discrepancy grow with the bump, the noise does not."""
     sizes = [
-        next(s.size for s in plan(mondeo, across(h), (20.0,), ("sensor_offset",)).shown if s.parameter == "x")
+        next(
+            s.size
+            for s in plan(mondeo, across(h), (20.0,), ("sensor_offset",)).detectability
+            if s.parameter == "x"
+        )
         for h in (0.006, 0.024, 0.096)
     ]
     gains = sizes[0] / sizes[1], sizes[1] / sizes[2]
