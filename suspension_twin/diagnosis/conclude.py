@@ -17,7 +17,7 @@ from suspension_twin.diagnosis.decision import Decision, decide, learnt, usual
 from suspension_twin.diagnosis.features import add_intervals, evidence_of, refined_row
 from suspension_twin.diagnosis.judge import Candidate, Judged, candidate
 from suspension_twin.diagnosis.library import NUISANCE_COUNTERPART, library
-from suspension_twin.diagnosis.plan import next_experiment
+from suspension_twin.diagnosis.next_experiment import next_experiment
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, DriveView
 from suspension_twin.diagnosis.shrink import RemainingResidual
 from suspension_twin.diagnosis.where import (

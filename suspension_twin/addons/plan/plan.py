@@ -21,24 +21,20 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from suspension_twin.addons.plan.sensitivity import Change, Products, products
 from suspension_twin.arrays import Floats
-from suspension_twin.diagnosis.case import Case
-from suspension_twin.diagnosis.judge import Candidate, Judged
 from suspension_twin.diagnosis.library import library
-from suspension_twin.diagnosis.sensitivity import Change, Products, planned_drive, products
-from suspension_twin.diagnosis.wording import capital, effect_name
+from suspension_twin.diagnosis.next_experiment import manoeuvres, planned_drive
 from suspension_twin.effects.base import Parameter
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.errors import InputError, SuspensionTwinError
 from suspension_twin.files import Json, write_text
-from suspension_twin.inference.fit import twin_of
 from suspension_twin.inference.hypothesis import Hypothesis
-from suspension_twin.inference.noise import USUAL_SHARE
 from suspension_twin.inference.observation import Observation, road_of
 from suspension_twin.inference.parallel import side_by_side
 from suspension_twin.inference.problem import REACH
 from suspension_twin.models.registry import model_of
-from suspension_twin.road import Road, add_bump, bump_road, half_sine
+from suspension_twin.road import Road
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = [
@@ -51,10 +47,8 @@ __all__ = [
     "Ray",
     "Rival",
     "alternatives",
-    "next_experiment",
     "plan",
     "rays",
-    "separating_drive",
 ]
 
 _MENU: Final = json.loads(Path(__file__).with_name("plan.json").read_text(encoding="utf-8"))
@@ -638,7 +632,7 @@ def _options(twin: Twin, road: Road, drives: Sequence[Observation], speeds: Sequ
     ]
     options += [
         _Option(f"{name} at {kmh:g} km/h", twin, ((obstacle, kmh, name),), True)
-        for name, obstacle, kmh in _manoeuvres(planned=True)
+        for name, obstacle, kmh in manoeuvres(planned=True)
     ]
     x, _, z = twin.imu.position
     front, rear = (float(f(twin.vehicle.wheel_positions[:, 0])) for f in (np.max, np.min))
@@ -678,79 +672,3 @@ def _remedied(
             if size is not None and (least is None or rank(size) < rank(least) - _BETTER):
                 best[n] = replace(pair, remedy=option.name, remedy_size=size)
     return best
-
-
-def _manoeuvres(planned: bool = False) -> list[tuple[str, Road, float]]:
-    """Obstacles with the speed over each in km/h; short, without a test track. Those of a plan alone if ``planned``."""
-    return [
-        (one["name"], _road_of(one), one["kmh"])
-        for one in _MENU["obstacles"]
-        if one.get("planned") or not planned
-    ]
-
-
-def _road_of(obstacle: Json) -> Road:
-    """70 m of flat road with an obstacle: under all wheels, or under the left ones alone."""
-    shape, left = half_sine(obstacle["length"], obstacle["height"]), obstacle.get("left", False)
-    flat = half_sine(obstacle["length"], 1e-6)
-    road = bump_road(flat if left else shape, at=obstacle.get("at", 30.0), length=70.0)
-    return add_bump(road, shape, 40.0, v_low=0.1) if left else road
-
-
-# -- the next drive of a diagnosis -------------------------------------------------------------------
-
-
-def separating_drive(
-    first: Twin, second: Twin, noise: dict[str, float], share: float
-) -> tuple[float, str] | None:
-    """The manoeuvre on which two twins differ most, with the expected log likelihood ratio in nats; None where none can
-    be simulated.
-
-    0.5 n_eff / n sum((y_1 - y_2)^2 / (sigma^2 + (``share`` s)^2)) over the channels, with the ``noise`` sigma and the
-    model discrepancy, a ``share`` of the rms s of the motion.
-    """
-
-    def separation(manoeuvre: tuple[str, Road, float]) -> tuple[float, str] | None:
-        name, road, kmh = manoeuvre
-        try:
-            one, other = (
-                planned_drive(twin.model_copy(update={"road": None}), road, kmh) for twin in (first, second)
-            )
-        except SuspensionTwinError:
-            return None
-        total = 0.0
-        for channel, values in one.measured.items():
-            sigma = noise.get(channel, one.noise_rms[channel])
-            variance = sigma**2 + (share * float(np.std(values[one.mask]))) ** 2
-            total += float(np.sum((values - other.measured[channel])[one.mask] ** 2)) / variance
-        return float(total * one.bandwidth / one.rate), f"{name} at {kmh:g} km/h"
-
-    return max((found for found in map(separation, _manoeuvres()) if found is not None), default=None)
-
-
-def next_experiment(case: Case, tied: Sequence[Candidate], answer: str, judged: Judged) -> str:
-    """One sentence: the manoeuvre that separates the ``tied`` candidates of a diagnosis, and the expected gain."""
-    if len(tied) < 2:
-        return "None is needed to separate candidates."
-    effects = [c.effects[0] for c in tied[:2]]
-    pair = " from ".join(effect_name(e) for e in effects)
-    if case.kind == "run":
-        return f"Repeat the run with another excitation to separate {pair}."
-    tap = "mount_resonance" in effects
-    tail = " A tap on the phone holder at standstill excites the mount resonance alone." if tap else ""
-    first, second = (twin_of(judged.problem, c.found.fit) for c in tied[:2])
-    found = separating_drive(first, second, judged.noise, max(judged.reference or USUAL_SHARE, 0.05))
-    if found is None:
-        return f"No manoeuvre of the menu can be simulated to separate {pair}.{tail}"
-    nats, name = found
-    if nats < 1.0:
-        shows = " ".join(
-            f"{capital(effect_name(e))} shows in: {', '.join(EFFECTS[e].excited_by)}." for e in effects
-        )
-        return f"No manoeuvre of those that were simulated would separate {pair}. {shows}{tail}"
-    why = " if there is a gap at all" if answer == "no_gap" else ""
-    if nats > np.log(1000.0):
-        worth = "settle it"
-    else:
-        worth = f"make the right one {np.exp(nats):.0f} times as likely as the other"
-    return f"Drive {name}: it separates {pair} best{why}; one pass should {worth}.{tail}"

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
+from suspension_twin.addons.plan.plan import APART, DETECTABLE, Detectability, Pair, Plan
 from suspension_twin.diagnosis import wording
-from suspension_twin.diagnosis.plan import APART, DETECTABLE, Detectability, Pair, Plan
 from suspension_twin.report import style
 from suspension_twin.report.page import Cell, Lead, Mark, Page, Section, Table
 from suspension_twin.report.style import COLOURS
@@ -28,7 +28,7 @@ def plan_page(plan: Plan) -> Page:
     Parameters
     ----------
     plan : Plan
-        Result of :func:`~suspension_twin.diagnosis.plan.plan`.
+        Result of :func:`~suspension_twin.addons.plan.plan.plan`.
 
     Returns
     -------
