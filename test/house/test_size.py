@@ -8,11 +8,11 @@ from pathlib import Path
 
 #: Counts that are still beyond their limit; lower one here when it is lower in the code, and drop it at its limit.
 REACHED = {
-    "statements of models, effects, inference, calibration, diagnosis": 12_780,
-    "statements of all": 37_120,
+    "statements of models, effects, inference, calibration, diagnosis": 11_690,
+    "statements of all": 37_060,
     "records of more than 8 fields": 14,
     "class names that occur twice": 1,
-    "numbers at module level of inference, calibration, diagnosis": 405,
+    "numbers at module level of inference, calibration, diagnosis": 332,
 }
 
 
