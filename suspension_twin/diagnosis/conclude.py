@@ -11,7 +11,7 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis import wording
-from suspension_twin.diagnosis.answer import answer_of, leading_channel
+from suspension_twin.diagnosis.answer import answer_of, leading_channel, rounded
 from suspension_twin.diagnosis.case import Case
 from suspension_twin.diagnosis.decision import Decision, decide, learnt, usual
 from suspension_twin.diagnosis.features import add_intervals, evidence_of, refined_row
@@ -123,8 +123,8 @@ def _periodic(problem: Problem, remaining: RemainingResidual) -> Json:
     tone = strongest_tone(problem, remaining)
     if tone is None or tone.strength <= usual("tone"):
         return {}
-    at = {"every_m": _round(1.0 / tone.at)} if tone.domain == "distance" else {"hz": _round(tone.at)}
-    return {"periodic": {"channel": tone.channel, **at, "share": _round(tone.share)}}
+    at = {"every_m": rounded(1.0 / tone.at)} if tone.domain == "distance" else {"hz": rounded(tone.at)}
+    return {"periodic": {"channel": tone.channel, **at, "share": rounded(tone.share)}}
 
 
 def _road_section(case: Case, judged: Judged, only: Sequence[str]) -> Json | None:
@@ -143,15 +143,15 @@ def _road_section(case: Case, judged: Judged, only: Sequence[str]) -> Json | Non
     named = [
         {
             "effect": one.effect,
-            "shrink": _round(one.shrink),
-            "parameters": {k.split(".")[2]: float(f"{v:.6g}") for k, v in one.values.items()},
+            "shrink": rounded(one.shrink),
+            "parameters": {k.split(".")[2]: rounded(v) for k, v in one.values.items()},
         }
         for one in like
     ]
     return {
         "start_m": there.start,
         "end_m": there.end,
-        "share": _round(there.share),
+        "share": rounded(there.share),
         "resembles": named,
         "like": bool(like),
     }
@@ -206,7 +206,3 @@ def _simulated(problem: Problem, part: Observation, twin: Twin, channel: str) ->
     correction = part.reading.correction([e.id for e in twin.effects], own, problem.simulation.upright)
     excitation = part.reading.excitation(correction, problem.simulation.step)
     return part.condition(simulate_twin(twin, excitation))[channel]
-
-
-def _round(value: float) -> float:
-    return float(f"{float(value):.6g}")

@@ -58,8 +58,9 @@ _MOST_EFFECTS = 3
 ADDED = 3.0
 #: Lower limit of the share of the remaining residual that is noise.
 _LEAST_TEMPER = 0.03
-#: Rounds of noise estimation from the residual of all effects together, without a road.
-_NOISE_ROUNDS, _NOISE_ROUNDS_COARSE = 2, 6
+#: Rounds of noise estimation from the residual of all effects together, without a road: after a coarse search (a sensor
+#: mounted backwards) the first estimates are far off.
+_NOISE_ROUNDS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,11 +228,6 @@ def _since(
     return (None, {}) if beyond is None else beyond
 
 
-def _expected(judged: Judged) -> float:
-    """Residual as a share of the motion that a complete model leaves."""
-    return USUAL_SHARE if judged.reference is None else judged.reference
-
-
 def candidate(judged: Judged, found: Evidence) -> Candidate:
     """A hypothesis with its remaining residual."""
     remaining = remaining_residual(judged.problem, found.fit.hypothesis, found.unknowns, judged.blocks)
@@ -251,14 +247,15 @@ def _grown(
     gains = np.array([tempered_gain(judged, c.found) for c in known])
     weak = [c.effects[0] for c in known if c.powers is not None and not detectable(c.powers)]
     gains[[c.effects[0] in weak for c in known]] = -np.inf
+    expected = USUAL_SHARE if judged.reference is None else judged.reference
     found: dict[tuple[str, ...], Candidate] = {}
     for i in np.argsort(-gains, kind="stable")[:_LEADS]:
         if gains[i] < max(LEAST_GAIN, _LEAD_SHARE * float(gains.max())):
             continue
         chosen, gain = known[i], float(gains[i])
-        while len(chosen.effects) < min(_MOST_EFFECTS, len(effects)) and _level(
-            case, judged, chosen
-        ) > _expected(judged):
+        while (
+            len(chosen.effects) < min(_MOST_EFFECTS, len(effects)) and _level(case, judged, chosen) > expected
+        ):
             tried = pairs(
                 judged.problem,
                 chosen.found,
@@ -364,13 +361,10 @@ def with_joint_noise(
     """
     effects = [v[0] for v in library(case.twin, case.excited, request.effects, len(case.drives)).values()]
     every, fit = range(len(problem.data.active)), base
-    for number in range(_NOISE_ROUNDS_COARSE if effects else 0):
+    for number in range(_NOISE_ROUNDS if effects else 0):
         if number:
             fit = fitted(problem.having(fit.hypothesis), [fit.x], LONG)
         else:
             fit = joint_fit(problem, effects, base, request.seed, case.turn)
         problem = with_noise_of(problem.having(fit.hypothesis), fit.x, every).having(BASELINE)
-        # after a coarse search (a sensor mounted backwards) the estimate needs more rounds
-        if number + 1 >= _NOISE_ROUNDS and not fit.hypothesis.around:
-            break
-    return problem, fitted(problem, [base.x], 8)
+    return problem, fitted(problem, [base.x], LONG)

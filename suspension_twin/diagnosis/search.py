@@ -40,7 +40,7 @@ from suspension_twin.inference.posterior import travel
 from suspension_twin.inference.problem import Problem
 from suspension_twin.inference.sensor_correction import Turn
 
-__all__ = ["Search", "Single", "joint_fit", "pairs", "singles", "without_one"]
+__all__ = ["FINALISTS", "Search", "Single", "joint_fit", "pairs", "singles", "without_one"]
 
 #: Sobol points of one effect, and of all effects together; starts, peaks and sets that are fitted: the best of them.
 _STARTS, _JOINT_STARTS, _TRIED = 16, 128, 3
@@ -54,7 +54,7 @@ _TOUCHES = 0.8
 _COST_RATIO = 3.0
 #: Effects whose fit is repeated with all columns of the Jacobian: those with a share of the best gain of the first
 #: search, at least the first number and at most the second.
-_FINALIST_GAIN, _FINALISTS = 0.2, (3, 7)
+_FINALIST_GAIN, FINALISTS = 0.2, (3, 7)
 _VARIANTS = 2  # of an effect that are fitted: the best by screening
 #: Nats by which an effect has to change the signals, somewhere over its prior, to be judged.
 LEAST_POWER = 5.0
@@ -155,7 +155,7 @@ def singles(
     )
     gains = np.array([base.cost - r.cost for r in rough])
     count = int(np.count_nonzero(gains >= _FINALIST_GAIN * max(gains.max(), 0.0)))
-    finalists = np.argsort(-gains, kind="stable")[: int(np.clip(count, *_FINALISTS))].tolist()
+    finalists = np.argsort(-gains, kind="stable")[: int(np.clip(count, *FINALISTS))].tolist()
 
     def judge(i: int) -> Single:
         r, final = rough[i], i in finalists
