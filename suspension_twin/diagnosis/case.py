@@ -19,16 +19,7 @@ from suspension_twin.drive.types import Drive
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.errors import InputError
 from suspension_twin.inference.excited_segments import TrimSettings, fit_rows
-from suspension_twin.inference.fit import (
-    DEEP,
-    LONG,
-    Fit,
-    LinearisedFit,
-    fitted,
-    linearised_fit,
-    refit,
-    twin_of,
-)
+from suspension_twin.inference.fit import Fit, LinearisedFit, fitted, linearised_fit, refit, twin_of
 from suspension_twin.inference.noise import USUAL_SHARE, Whitener, shares
 from suspension_twin.inference.nuisance import NuisancePriors, map_spread
 from suspension_twin.inference.observation import (
@@ -290,10 +281,10 @@ def baseline(case: Case, problem: Problem) -> tuple[Problem, LinearisedFit, Line
         if case.road:
             problem = problem.with_planar_response(x)
         trial = counting(problem, np.isin(whitener_of(problem).drive, quiet))
-        x, cost = refit(trial, [x] if number else _many(problem, x), None, DEEP if number else LONG)
+        x, cost = refit(trial, [x] if number else _many(problem, x), None, 8 if number == 0 else 5)
         if case.road and number == 0:
             level = replace(trial, simulation=replace(trial.simulation, upright=True))
-            y, other = refit(level, [x], None, DEEP)
+            y, other = refit(level, [x], None, 5)
             if other < cost:
                 x, problem = y, replace(problem, simulation=level.simulation)
         problem = with_noise_of(problem, x, quiet, () if referenced or not case.road else VERTICAL)
@@ -301,7 +292,7 @@ def baseline(case: Case, problem: Problem) -> tuple[Problem, LinearisedFit, Line
         problem = _repeated(case, problem, x)
         x = problem.prior.centre
     anchor = linearised_fit(problem, x)
-    return (problem, fitted(problem, [x], DEEP), anchor) if referenced else (problem, anchor, anchor)
+    return (problem, fitted(problem, [x], 6), anchor) if referenced else (problem, anchor, anchor)
 
 
 def with_noise_of(problem: Problem, x: Floats, drives: Sequence[int], usual: Sequence[str] = ()) -> Problem:

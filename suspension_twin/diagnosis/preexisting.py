@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = ["LEAST_GAIN", "REBASE_GAIN", "as_preexisting", "beyond_preexisting"]
 
-#: Tempered nats that count as a gain, in units of the evidence: an effect starts no set with less, and a pre-existing
+#: Tempered nats that count as a gain: an effect starts no set of effects with less, and a pre-existing
 #: one has to gain it on all drives and may lose it on reference drives, where new effects lose 4 to 13.
 LEAST_GAIN = 1.0
 #: -2 log posterior that a baseline has to improve by for the fits of effects to be repeated from it.
