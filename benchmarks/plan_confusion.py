@@ -35,9 +35,10 @@ from blind.plan import Spec  # noqa: E402
 from blind.plan import plan as cases  # noqa: E402
 from blind.world import World, make_world  # noqa: E402
 
+from suspension_twin.addons.plan.plan import APART, DETECTABLE, alternatives  # noqa: E402
+from suspension_twin.addons.plan.sensitivity import Change, products  # noqa: E402
 from suspension_twin.diagnosis.library import library  # noqa: E402
-from suspension_twin.diagnosis.plan import APART, DETECTABLE, alternatives  # noqa: E402
-from suspension_twin.diagnosis.sensitivity import Change, planned_drive, products  # noqa: E402
+from suspension_twin.diagnosis.next_experiment import planned_drive  # noqa: E402
 from suspension_twin.vehicle.twin import EffectSpec, parse_twin  # noqa: E402
 
 SETS = ("report2", "report3")

@@ -496,13 +496,13 @@ def draw_diagnosis(case: Path, answer: Path) -> None:
 
 def plan_picture() -> None:
     """The smallest sizes that two drives over the bundled bump could show."""
-    from suspension_twin.diagnosis.plan import plan
+    from suspension_twin.addons.plan.page import sizes_picture
+    from suspension_twin.addons.plan.plan import plan
     from suspension_twin.report import style
-    from suspension_twin.report.plan import sizes_picture
     from suspension_twin.vehicle.twin import load_twin
 
     found = plan(load_twin(ROOT / "bags" / "bump_15kmh" / "twin.yaml"))
-    style.save(sizes_picture(found.shown), HERE / "plan.png", dpi=110)
+    style.save(sizes_picture(found.detectability), HERE / "plan.png", dpi=110)
 
 
 def rig_picture() -> None:

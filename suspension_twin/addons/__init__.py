@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Add-ons: live sources, roads from scans and drives, fleets, exports, the live view, vehicles in an FMU.
+"""Add-ons: live sources, roads from scans and drives, fleets, exports, the live view, plans, vehicles in an FMU.
 
 The core imports none of them: :mod:`suspension_twin.registry` reads :data:`PLUGINS`, as it reads the entry points of
 other packages.
@@ -20,6 +20,7 @@ PLUGINS: Final[Mapping[str, Mapping[str, str]]] = {
         "record": f"{__name__}.cli:RECORD",
         "fleet": f"{__name__}.cli:FLEET",
         "export": f"{__name__}.cli:EXPORT",
+        "plan": f"{__name__}.cli:PLAN",
     },
     "road_commands": {
         "drives": f"{__name__}.cli.road_drives:command",

@@ -64,7 +64,6 @@ SUBCOMMANDS = (
         "Where twin and car disagree, why, and what closes the gap.",
         several="--reference",
     ),
-    Subcommand("plan", f"{_HERE}.plan", "Which effects this set-up could show, and never tell apart."),
     Subcommand("simulate", f"{_HERE}.simulate", "The twin over a recorded drive, without ROS."),
     Subcommand("import", f"{_HERE}.import_", "A phone's or logger's recording into a bag."),
     Subcommand("damping", f"{_HERE}.damping", "Which dampers a tracked vehicle should have, by speed."),

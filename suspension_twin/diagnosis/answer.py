@@ -15,7 +15,7 @@ from suspension_twin.errors import InputError
 from suspension_twin.files import Json, reading, write_text
 from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin, save_twin
 
-__all__ = ["answer_of", "decided_anew", "leading_channel", "write", "write_document"]
+__all__ = ["answer_of", "decided_anew", "leading_channel", "rounded", "write", "write_document"]
 
 #: Keys of diagnosis.json that a decision made anew keeps: they depend on the drives alone.
 _KEPT = ("where", "warnings", "next_experiment")
@@ -41,7 +41,7 @@ def answer_of(evidence: Json, decision: Decision) -> Json:
         "probability": round(_probability(decision), 6),
         "gap": {
             "rms": case["channels"][main]["gap"],
-            "mse": _round(case["channels"][main]["gap"] ** 2),
+            "mse": rounded(case["channels"][main]["gap"] ** 2),
             "noise_rms": case["channels"][main]["noise"],
             "channel": main,
             "channels": {name: c["gap"] for name, c in case["channels"].items()},
@@ -55,7 +55,7 @@ def answer_of(evidence: Json, decision: Decision) -> Json:
         "unknown_probability": round(decision.unknown, 6),
         "candidates": [_named(c) for c in decision.candidates],
         "combination": list(decision.row["effects"]) if decision.row is not None else [],
-        "unexplained": _round(1.0 - left["shrink"]),
+        "unexplained": rounded(1.0 - left["shrink"]),
         "recalibration": _shrink(base["channels"][main]["written"]),
         "background": {
             "share_of_motion_left": kept["level"],
@@ -152,7 +152,8 @@ def _named(causes: tuple[str, ...]) -> str:
     return " + ".join(causes) if causes else "no_gap"
 
 
-def _round(value: float) -> float:
+def rounded(value: float) -> float:
+    """A number to six digits."""
     return float(f"{float(value):.6g}")
 
 

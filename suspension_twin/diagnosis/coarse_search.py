@@ -15,12 +15,14 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.library import SETUP_CATEGORIES
-from suspension_twin.inference.fit import refit
+from suspension_twin.inference.fit import LONG, refit
 from suspension_twin.inference.hypothesis import Hypothesis
 from suspension_twin.inference.problem import REACH, Problem
 from suspension_twin.inference.sensor_correction import Turn
 
 __all__ = [
+    "GRID",
+    "GRID_OF_SEVERAL",
     "MISALIGNMENT_PENALTY",
     "NO_MATCH",
     "coarse_fit",
@@ -33,14 +35,12 @@ __all__ = [
 #: Held-out residual as a share of the rms of the motion, from which on simulation and measurement do not match.
 NO_MATCH = 0.7
 #: Grid points of a coordinate where an effect has one severity, and where it has several.
-_GRID, _GRID_OF_SEVERAL = 201, 41
-_LONG = 12
+GRID, GRID_OF_SEVERAL = 201, 41
 #: Tolerances: times at most that a prior follows a fit, and standard deviations by which it moves less when that ends.
 _RECENTRED, _SETTLED = 6, 0.25
 #: Beyond ``REACH`` standard deviations a set-up parameter counts as misset: its prior is centred where it is found, and
 #: -2 log of the probability of a misset parameter is added to the cost.
 MISALIGNMENT_PENALTY = 12.0
-_TIMES = 41  # grid points of a clock offset in the joint search
 
 
 def recentred(hypothesis: Hypothesis, u: Floats) -> Hypothesis:
@@ -72,7 +72,7 @@ def coarse_fit(
     if not np.isfinite(costs[best]):
         return None
     there = recentred(hypothesis, points[:, best])
-    y, cost = refit(problem.having(there), [x[:, best]], None, _LONG)
+    y, cost = refit(problem.having(there), [x[:, best]], None, LONG)
     return there, y, cost + MISALIGNMENT_PENALTY * bool(there.around)
 
 
@@ -91,7 +91,7 @@ def misset_fit(
         if not there.around:
             return None
         before = y
-        y, other = refit(problem.having(there), [before], None, _LONG)
+        y, other = refit(problem.having(there), [before], None, LONG)
         if np.max(np.abs(y[p:] - before[p:])) < _SETTLED:
             break
     other += MISALIGNMENT_PENALTY
@@ -106,8 +106,8 @@ def joint_grid(together: Hypothesis, turn: Turn) -> Floats:
     points = together.neutral()[:, None]
     if "effects.time_offset.offset" in keys:
         i = keys.index("effects.time_offset.offset")
-        points = np.repeat(points, _TIMES, axis=1)
-        points[i] = np.linspace(low[i], high[i], _TIMES)
+        points = np.repeat(points, GRID_OF_SEVERAL, axis=1)
+        points[i] = np.linspace(low[i], high[i], GRID_OF_SEVERAL)
     if "effects.sensor_tilt.roll" in keys:
         rows = [keys.index(f"effects.sensor_tilt.{a}") for a in ("roll", "pitch", "yaw")]
         spreads = np.array([together.searched[i][1].prior.spread for i in rows])
@@ -126,7 +126,7 @@ def _severity_grid(hypothesis: Hypothesis, turn: Turn) -> Floats | None:
     if not severe:
         return None
     low, high = hypothesis.bounds()
-    count = _GRID if len(severe) == 1 else _GRID_OF_SEVERAL
+    count = GRID if len(severe) == 1 else GRID_OF_SEVERAL
     points = np.repeat(hypothesis.neutral()[:, None], count * len(severe), axis=1)
     for place, i in enumerate(severe):
         points[i, place * count : (place + 1) * count] = np.linspace(low[i], high[i], count)

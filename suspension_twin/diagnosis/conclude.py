@@ -11,20 +11,18 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis import wording
-from suspension_twin.diagnosis.answer import answer_of, leading_channel
+from suspension_twin.diagnosis.answer import answer_of, leading_channel, rounded
 from suspension_twin.diagnosis.case import Case
-from suspension_twin.diagnosis.decision import Decision, decide
+from suspension_twin.diagnosis.decision import Decision, decide, learnt, usual
 from suspension_twin.diagnosis.features import add_intervals, evidence_of, refined_row
 from suspension_twin.diagnosis.judge import Candidate, Judged, candidate
 from suspension_twin.diagnosis.library import NUISANCE_COUNTERPART, library
-from suspension_twin.diagnosis.plan import next_experiment
+from suspension_twin.diagnosis.next_experiment import next_experiment
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, DriveView
 from suspension_twin.diagnosis.shrink import RemainingResidual
 from suspension_twin.diagnosis.where import (
     concentrated_section,
     localise,
-    no_concentration,
-    no_road_error,
     road_error_matches,
     signature,
     strongest_tone,
@@ -32,21 +30,14 @@ from suspension_twin.diagnosis.where import (
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.files import Json
 from suspension_twin.inference.cross_validation import evidence
-from suspension_twin.inference.fit import LONG, fitted, twin_of
+from suspension_twin.inference.fit import LONG, ROUGH, fitted, twin_of
 from suspension_twin.inference.observation import Observation
-from suspension_twin.inference.problem import Problem
+from suspension_twin.inference.problem import REACH, Problem
 from suspension_twin.models.parameters import pack
 from suspension_twin.models.simulate import simulate_lanes, simulate_twin
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["conclude"]
-
-_RUNNER_UP = 0.01  # probability of a second cause from which on a drive is proposed to separate it
-_LEAST_RESEMBLANCE = 0.1  # probability of a decoy from which on it is reported
-#: -2 log posterior by which the fit may be worse with the nuisance parameters of the same action frozen.
-_SAME_FIT = 20.0
-_TONE = 16.0  # prominence from which on a tonal component is reported; model discrepancy has up to 10
-_LEAST_TONE_SHARE = 0.1  # of the mean square of the channel
 
 
 def conclude(request: DiagnosisRequest, case: Case, judged: Judged, seconds: float) -> DiagnosisResult:
@@ -68,7 +59,7 @@ def conclude(request: DiagnosisRequest, case: Case, judged: Judged, seconds: flo
         document["signature"] = {
             **signature(judged.problem, kept.remaining.difference, twin),
             "resembles": _resembles(decision),
-            **_periodic(case, judged.problem, kept.remaining),
+            **(_periodic(judged.problem, kept.remaining) if case.road else {}),
         }
         if section is not None:
             document["signature"]["stretch"] = section
@@ -100,7 +91,7 @@ def _refined(judged: Judged, one: Candidate) -> tuple[Candidate, Problem]:
     """
     given, hypothesis = judged.problem, one.hypothesis
     fine = replace(given.having(hypothesis), simulation=replace(given.simulation, step=None))
-    fit = fitted(fine, [one.found.fit.x], 2)
+    fit = fitted(fine, [one.found.fit.x], ROUGH)
     far = np.maximum(np.abs(fit.x[fine.shared :] - hypothesis.centre()), 1.0)
     if np.any(far > 1.0):
         spread = dict(zip(hypothesis.keys, far.tolist(), strict=True))
@@ -109,8 +100,9 @@ def _refined(judged: Judged, one: Candidate) -> tuple[Candidate, Problem]:
     same = tuple(n for e in hypothesis.effects for n in NUISANCE_COUNTERPART.get(e, ()))
     if same and judged.reference is None:
         frozen = replace(fine, prior=replace(fine.prior, frozen=same))
-        whole = fitted(frozen, [fit.x], 10)
-        if whole.cost <= fit.cost + _SAME_FIT:
+        whole = fitted(frozen, [fit.x], LONG)
+        # not more than a nuisance parameter at the end of its reach costs
+        if whole.cost <= fit.cost + REACH**2:
             fine, fit = frozen, whole
     problem = fine.having(given.hypothesis)
     return candidate(replace(judged, problem=problem), evidence(fine, fit, judged.blocks)), problem
@@ -120,20 +112,19 @@ def _next(case: Case, judged: Judged, document: Json, section: Json | None) -> s
     if section is not None and section["like"] and document["verdict"] == "unknown":
         span = f"from {section['start_m']:.0f} to {section['end_m']:.0f} m"
         return f"Survey the road {span} again: no drive changes its file."
-    tied = []
-    if len(document["combination"]) < 2:
-        leading = [c["effect"] for c in document["causes"][:2] if c["probability"] > _RUNNER_UP]
-        tied = [c for name in leading for c in judged.singles if c.effects == (name,)]
+    named = document["candidates"] if len(document["combination"]) < 2 else []
+    tied = [c for name in named for c in judged.singles if c.effects == (name,)]
     return next_experiment(case, tied, document["verdict"], judged)
 
 
-def _periodic(case: Case, problem: Problem, remaining: RemainingResidual) -> Json:
-    """The strongest tonal component of the remaining residual, by period in m or by frequency in Hz; empty if none."""
-    tone = strongest_tone(problem, remaining, _LEAST_TONE_SHARE) if case.road else None
-    if tone is None or tone.strength < _TONE:
+def _periodic(problem: Problem, remaining: RemainingResidual) -> Json:
+    """The strongest tonal component of the remaining residual, by period in m or by frequency in Hz; empty if it is as
+    those of cars without any fault."""
+    tone = strongest_tone(problem, remaining)
+    if tone is None or tone.strength <= usual("tone"):
         return {}
-    at = {"every_m": _round(1.0 / tone.at)} if tone.domain == "distance" else {"hz": _round(tone.at)}
-    return {"periodic": {"channel": tone.channel, **at, "share": _round(tone.share)}}
+    at = {"every_m": rounded(1.0 / tone.at)} if tone.domain == "distance" else {"hz": rounded(tone.at)}
+    return {"periodic": {"channel": tone.channel, **at, "share": rounded(tone.share)}}
 
 
 def _road_section(case: Case, judged: Judged, only: Sequence[str]) -> Json | None:
@@ -147,23 +138,22 @@ def _road_section(case: Case, judged: Judged, only: Sequence[str]) -> Json | Non
     offered = library(case.twin, True, of_the_road) if of_the_road else {}
     x = judged.base.found.fit.x[: problem.shared]
     like = road_error_matches(problem, x, there, [h for v in offered.values() for h in v], judged.temper)
-    explained = no_road_error(like) < 0.5
-    if no_concentration(there) > 0.5 and not explained:
+    if there.beyond <= usual("place") and not like:
         return None
     named = [
         {
             "effect": one.effect,
-            "shrink": _round(one.shrink),
-            "parameters": {k.split(".")[2]: float(f"{v:.6g}") for k, v in one.values.items()},
+            "shrink": rounded(one.shrink),
+            "parameters": {k.split(".")[2]: rounded(v) for k, v in one.values.items()},
         }
         for one in like
     ]
     return {
         "start_m": there.start,
         "end_m": there.end,
-        "share": _round(there.share),
+        "share": rounded(there.share),
         "resembles": named,
-        "like": explained,
+        "like": bool(like),
     }
 
 
@@ -178,7 +168,7 @@ def _resembles(decision: Decision) -> list[Json]:
             "shrink": next(iter(a.row["channels"].values()))["written"]["shrink"],
         }
         for a, p in pairs
-        if a.row is not None and a.row["decoy"] and p > _LEAST_RESEMBLANCE
+        if a.row is not None and a.row["decoy"] and p >= learnt().conformal
     ]
     return sorted(like, key=lambda one: -float(str(one["probability"])))
 
@@ -216,7 +206,3 @@ def _simulated(problem: Problem, part: Observation, twin: Twin, channel: str) ->
     correction = part.reading.correction([e.id for e in twin.effects], own, problem.simulation.upright)
     excitation = part.reading.excitation(correction, problem.simulation.step)
     return part.condition(simulate_twin(twin, excitation))[channel]
-
-
-def _round(value: float) -> float:
-    return float(f"{float(value):.6g}")

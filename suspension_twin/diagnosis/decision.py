@@ -38,6 +38,7 @@ __all__ = [
     "learnt",
     "prior_means",
     "single",
+    "usual",
     "usual_level",
 ]
 
@@ -97,7 +98,7 @@ def _file() -> Json:
     return known
 
 
-def _usual(name: str) -> float:
+def usual(name: str) -> float:
     """A figure of the model discrepancy of cars without any fault."""
     return float(_file()["discrepancy"][name])
 
@@ -372,7 +373,7 @@ def _gain(row: Json, base_since: float | None) -> float:
 
 def usual_level(case: Json) -> float:
     """Residual as a share of the motion that a complete model leaves: that on the reference, or the usual one."""
-    return float(case["level_on_reference"] if case["reference"] else _usual("level"))
+    return float(case["level_on_reference"] if case["reference"] else usual("level"))
 
 
 def _driven_squares(case: Json, row: Json) -> list[float]:
@@ -384,9 +385,9 @@ def _excess(case: Json, row: Json) -> float:
     """Log of the remaining residual over that of a complete model, and over the noise; 0 where it is less."""
     main, level = next(iter(case["channels"].values())), max(row["level_fitted"], 1e-3)
     if case["reference"]:
-        over = 0.5 * np.log(max([1e-9, *_driven_squares(case, row)]) / _usual("square"))
+        over = 0.5 * np.log(max([1e-9, *_driven_squares(case, row)]) / usual("square"))
     else:
-        over = np.log(level / _usual("level"))
+        over = np.log(level / usual("level"))
     noisy = np.log(level * main["motion"] / (2.0 * main["noise"]))
     return float(np.clip(min(over, noisy), 0.0, 3.0))
 
@@ -407,9 +408,9 @@ def _explained(case: Json, base: Json, row: Json) -> float:
 
     def beyond(one: Json) -> float:
         if case["reference"]:
-            return float(sum(v**2 / (v + _usual("square")) for v in _driven_squares(case, one)))
+            return float(sum(v**2 / (v + usual("square")) for v in _driven_squares(case, one)))
         square = one["level_fitted"] ** 2
-        return float(square**2 / (square + _usual("level") ** 2))
+        return float(square**2 / (square + usual("level") ** 2))
 
     return float(np.clip(1.0 - beyond(row) / max(beyond(base), 1e-12), 0.0, 1.0))
 
@@ -433,7 +434,7 @@ def _pattern(row: Json) -> float:
     """By how much tone, band and place exceed those of model discrepancy, as a sum of logarithms."""
     if "tone" not in row:
         return 0.0
-    over = (np.log(max(row[name], 1e-3) / _usual(name)) for name in ("tone", "band", "place"))
+    over = (np.log(max(row[name], 1e-3) / usual(name)) for name in ("tone", "band", "place"))
     return float(sum(np.clip(o, 0.0, 1.5) for o in over))
 
 
@@ -441,7 +442,7 @@ def _fall_of_tone(base: Json, row: Json) -> float:
     """Log of the fall of the strongest tone, as far as it is above those of model discrepancy; 0 to 2."""
     if "tone" not in row or "tone" not in base:
         return 0.0
-    return float(np.clip(np.log(max(base["tone"], 1e-3) / max(row["tone"], _usual("tone"))), 0.0, 2.0))
+    return float(np.clip(np.log(max(base["tone"], 1e-3) / max(row["tone"], usual("tone"))), 0.0, 2.0))
 
 
 def _clocks(row: Json) -> float:

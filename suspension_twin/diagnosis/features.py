@@ -21,6 +21,7 @@ from suspension_twin.diagnosis.case import Case
 from suspension_twin.diagnosis.decision import FORMAT
 from suspension_twin.diagnosis.judge import Candidate, Judged, detectable, tempered_gain
 from suspension_twin.diagnosis.library import DECOYS, SETUP_CATEGORIES, library
+from suspension_twin.diagnosis.search import FINALISTS
 from suspension_twin.diagnosis.shrink import (
     BlockBootstrap,
     RemainingResidual,
@@ -38,8 +39,6 @@ from suspension_twin.inference.problem import Problem
 
 __all__ = ["add_intervals", "clock_offsets", "evidence_of", "refined_row", "usual_ratio"]
 
-#: Single effects, the best by evidence, whose remaining residual is looked at for tones and places.
-_DETAILED = 6
 #: Change of clock and position errors over a drive, from +2 to -2 standard deviations: a slow drift of the GNSS
 #: position resembles a clock drift.
 _BETWEEN_ENDS = 4.0
@@ -59,7 +58,8 @@ def evidence_of(case: Case, judged: Judged, seed: int) -> Json:
     """
     known = _Rows(case, judged, seed)
     order = np.argsort([-tempered_gain(judged, c.found) for c in judged.singles], kind="stable")
-    singles = set(order[:_DETAILED].tolist())
+    # the remaining residual of as many as can be finalists is looked at for tones and places
+    singles = set(order[: FINALISTS[1]].tolist())
     hypotheses = [(c, i in singles) for i, c in enumerate(judged.singles)] + [(c, True) for c in judged.sets]
     rows = side_by_side(lambda pair: known.row(*pair), [(judged.base, False), *hypotheses])
     return {"format": FORMAT, "seed": seed, "case": known.case_row(), "base": rows[0], "hypotheses": rows[1:]}

@@ -13,7 +13,7 @@ from suspension_twin.diagnosis.case import Case, with_noise_of
 from suspension_twin.diagnosis.coarse_search import NO_MATCH
 from suspension_twin.diagnosis.excerpt import excerpt_of
 from suspension_twin.diagnosis.library import decoys, library
-from suspension_twin.diagnosis.preexisting import beyond_preexisting
+from suspension_twin.diagnosis.preexisting import LEAST_GAIN, beyond_preexisting
 from suspension_twin.diagnosis.request import DiagnosisProgress, DiagnosisRequest
 from suspension_twin.diagnosis.search import (
     LEAST_POWER,
@@ -21,7 +21,6 @@ from suspension_twin.diagnosis.search import (
     Single,
     joint_fit,
     pairs,
-    refitted_under_noise,
     singles,
     without_one,
 )
@@ -35,40 +34,47 @@ from suspension_twin.diagnosis.shrink import (
 from suspension_twin.errors import InputError
 from suspension_twin.inference.checkpoint import Rounds
 from suspension_twin.inference.cross_validation import Blocks, Evidence, blocks_of, evidence, held_out
-from suspension_twin.inference.fit import LinearisedFit, fitted, linearised_fit
+from suspension_twin.inference.fit import LONG, LinearisedFit, fitted, linearised_fit
 from suspension_twin.inference.hypothesis import BASELINE, Hypothesis
 from suspension_twin.inference.noise import USUAL_SHARE
 from suspension_twin.inference.parallel import side_by_side
 from suspension_twin.inference.problem import Problem, counting, whitener_of
 
-__all__ = ["Candidate", "Judged", "candidate", "detectable", "judge", "tempered_gain", "with_joint_noise"]
+__all__ = [
+    "ADDED",
+    "Candidate",
+    "Judged",
+    "candidate",
+    "detectable",
+    "judge",
+    "tempered_gain",
+    "with_joint_noise",
+]
 
-#: Nats of tempered evidence below which an effect starts no set: odds of 3 to 1.
-_LEAST_LEAD = 1.1
 #: Share of the gain of the first lead that the second needs, and number of leads.
 _LEAD_SHARE, _LEADS = 0.25, 2
 _MOST_EFFECTS = 3
-#: Nats of tempered evidence that one more effect has to add for the search to go on: odds of 20 to 1.
-_ADDED = 3.0
+#: Nats that decide between two hypotheses, odds of 20 to 1: that one more effect has to add for the search to go on.
+ADDED = 3.0
 #: Lower limit of the share of the remaining residual that is noise.
 _LEAST_TEMPER = 0.03
-#: Rounds of noise estimation from the residual of all effects together, without a road.
-_NOISE_ROUNDS, _NOISE_ROUNDS_COARSE = 2, 6
+#: Rounds of noise estimation from the residual of all effects together, without a road: after a coarse search (a sensor
+#: mounted backwards) the first estimates are far off.
+_NOISE_ROUNDS = 6
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
     """A hypothesis with its cross-validated evidence and its held-out ``remaining`` residual.
 
-    ``since``: evidence on a vehicle with pre-existing effects, and ``preexisting``: evidence of the same effect on all
-    drives; None where they were not computed. ``powers`` (S,): detectability in nats at sizes over the prior of a
-    single effect; ``decoy``: whether it is no cause but a shape that many mechanisms share.
+    ``since``: evidence on a vehicle with pre-existing effects, None where it was not computed. ``powers`` (S,):
+    detectability in nats at sizes over the prior of a single effect; ``decoy``: whether it is no cause but a shape that
+    many mechanisms share.
     """
 
     found: Evidence
     remaining: RemainingResidual
     since: Evidence | None = None
-    preexisting: Evidence | None = None
     powers: Floats | None = None
     decoy: bool = False
 
@@ -171,7 +177,7 @@ def judge(
     temper = float(np.clip(noisy / max(least, 1e-12), _LEAST_TEMPER, 1.0))
     base_since, since = _since(problem, own, found, temper, search, report)
     candidates = tuple(
-        Candidate(s.evidence, r, since.get(i), s.preexisting, s.powers, s.effect in beside)
+        Candidate(s.evidence, r, since.get(i), s.powers, s.effect in beside)
         for i, (s, r) in enumerate(zip(found, remaining[1:], strict=True))
     )
     scale = Scale(noise, uncalibrated_residual(problem), reference, temper)
@@ -222,11 +228,6 @@ def _since(
     return (None, {}) if beyond is None else beyond
 
 
-def _expected(judged: Judged) -> float:
-    """Residual as a share of the motion that a complete model leaves."""
-    return USUAL_SHARE if judged.reference is None else judged.reference
-
-
 def candidate(judged: Judged, found: Evidence) -> Candidate:
     """A hypothesis with its remaining residual."""
     remaining = remaining_residual(judged.problem, found.fit.hypothesis, found.unknowns, judged.blocks)
@@ -246,14 +247,15 @@ def _grown(
     gains = np.array([tempered_gain(judged, c.found) for c in known])
     weak = [c.effects[0] for c in known if c.powers is not None and not detectable(c.powers)]
     gains[[c.effects[0] in weak for c in known]] = -np.inf
+    expected = USUAL_SHARE if judged.reference is None else judged.reference
     found: dict[tuple[str, ...], Candidate] = {}
     for i in np.argsort(-gains, kind="stable")[:_LEADS]:
-        if gains[i] < max(_LEAST_LEAD, _LEAD_SHARE * float(gains.max())):
+        if gains[i] < max(LEAST_GAIN, _LEAD_SHARE * float(gains.max())):
             continue
         chosen, gain = known[i], float(gains[i])
-        while len(chosen.effects) < min(_MOST_EFFECTS, len(effects)) and _level(
-            case, judged, chosen
-        ) > _expected(judged):
+        while (
+            len(chosen.effects) < min(_MOST_EFFECTS, len(effects)) and _level(case, judged, chosen) > expected
+        ):
             tried = pairs(
                 judged.problem,
                 chosen.found,
@@ -268,7 +270,7 @@ def _grown(
                 found.setdefault(tuple(sorted(one.fit.hypothesis.effects)), candidate(judged, one))
             best = max(tried, key=lambda one: tempered_gain(judged, one))
             better = tempered_gain(judged, best)
-            if better < gain + _ADDED:
+            if better < gain + ADDED:
                 break
             chosen, gain = found[tuple(sorted(best.fit.hypothesis.effects))], better
     return list(found.values())
@@ -308,7 +310,7 @@ def _shrunk(request: DiagnosisRequest, case: Case, judged: Judged) -> list[Candi
     while len(chosen.fit.hypothesis.effects) > 1:
         parts = without_one(problem, chosen, blocks)
         fewer = max(parts, key=lambda one: tempered_gain(judged, one))
-        if tempered_gain(judged, fewer) < tempered_gain(judged, chosen) - _ADDED:
+        if tempered_gain(judged, fewer) < tempered_gain(judged, chosen) - ADDED:
             return [candidate(judged, one) for one in (chosen, *parts)]
         chosen = fewer
     return []
@@ -359,13 +361,10 @@ def with_joint_noise(
     """
     effects = [v[0] for v in library(case.twin, case.excited, request.effects, len(case.drives)).values()]
     every, fit = range(len(problem.data.active)), base
-    for number in range(_NOISE_ROUNDS_COARSE if effects else 0):
+    for number in range(_NOISE_ROUNDS if effects else 0):
         if number:
-            fit = refitted_under_noise(problem, fit)
+            fit = fitted(problem.having(fit.hypothesis), [fit.x], LONG)
         else:
             fit = joint_fit(problem, effects, base, request.seed, case.turn)
         problem = with_noise_of(problem.having(fit.hypothesis), fit.x, every).having(BASELINE)
-        # after a coarse search (a sensor mounted backwards) the estimate needs more rounds
-        if number + 1 >= _NOISE_ROUNDS and not fit.hypothesis.around:
-            break
-    return problem, fitted(problem, [base.x], 8)
+    return problem, fitted(problem, [base.x], LONG)

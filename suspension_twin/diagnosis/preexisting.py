@@ -17,20 +17,20 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.inference.cross_validation import Blocks, Evidence, evidence
-from suspension_twin.inference.fit import DEEP, ROUGH, Fit, approximated, fitted, linearised_fit, refit
+from suspension_twin.inference.fit import DEEP, LONG, ROUGH, Fit, approximated, fitted, linearised_fit, refit
 from suspension_twin.inference.hypothesis import Hypothesis, combined
 from suspension_twin.inference.problem import Problem, whitener_of
 
 if TYPE_CHECKING:
     from suspension_twin.diagnosis.search import Search
 
-__all__ = ["as_preexisting", "beyond_preexisting"]
+__all__ = ["LEAST_GAIN", "REBASE_GAIN", "as_preexisting", "beyond_preexisting"]
 
-#: Tempered nats that a pre-existing effect has to gain on all drives and may lose on reference drives: new effects lose
-#: 4 to 13 there, pre-existing ones less than 1.
-_LEAST_GAIN = 1.0
-_LONG = 8  # iterations at most of the fit of all pre-existing effects
-_REBASE_GAIN = 1.0  # -2 log posterior that a baseline has to improve by for the other fits to be repeated
+#: Tempered nats that count as a gain: an effect starts no set of effects with less, and a pre-existing
+#: one has to gain it on all drives and may lose it on reference drives, where new effects lose 4 to 13.
+LEAST_GAIN = 1.0
+#: -2 log posterior that a baseline has to improve by for the fits of effects to be repeated from it.
+REBASE_GAIN = 3.0
 
 
 def as_preexisting(
@@ -84,12 +84,12 @@ def beyond_preexisting(
         )
     )
     # the baseline is refitted from the vehicle of each effect, and if it improves the others follow
-    fresh = fitted(extended, [x, *(z[:p] for z in fits.values())], _LONG)
+    fresh = fitted(extended, [x, *(z[:p] for z in fits.values())], LONG)
     y, better = fresh.x, fresh.cost
 
     def judged(i: int) -> Evidence:
         own, z = found[i].hypothesis, fits[i]
-        if better < cost - _REBASE_GAIN:
+        if better < cost - REBASE_GAIN:
             starts = [z, np.concatenate([y, z[p:]]), np.concatenate([y, own.neutral()])]
             z, _ = refit(extended.having(own), starts, fresh.at, DEEP)
         return evidence(extended.having(own), approximated(extended.having(own), [z], fresh), search.blocks)
@@ -117,8 +117,7 @@ def _with_preexisting(
     existing_effects = [
         e
         for e in existing
-        if temper * e.over(base) > _LEAST_GAIN
-        and temper * _gain_on_reference(problem, e, base) > -_LEAST_GAIN
+        if temper * e.over(base) > LEAST_GAIN and temper * _gain_on_reference(problem, e, base) > -LEAST_GAIN
     ]
     if not existing_effects:
         return problem, base.fit.x, base.fit.cost
@@ -128,8 +127,8 @@ def _with_preexisting(
     for one in existing_effects:
         others = [e.fit.x[p:] if e is one else e.fit.hypothesis.neutral() for e in existing_effects]
         starts.append(np.concatenate([one.fit.x[:p], *others]))
-    x, _ = refit(problem.having(whole), starts, None, _LONG)
+    x, _ = refit(problem.having(whole), starts, None, LONG)
     specs = whole.spec(whole.values(x[p:, None])[:, 0])
     twin = problem.twin.model_copy(update={"effects": (*problem.twin.effects, *specs)})
     extended = replace(problem, twin=twin)
-    return extended, *refit(extended, [x[:p]], None, _LONG)
+    return extended, *refit(extended, [x[:p]], None, LONG)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis import coarse_search
 from suspension_twin.diagnosis.excerpt import Excerpt
 from suspension_twin.diagnosis.library import NUISANCE_COUNTERPART, SETUP_CATEGORIES
-from suspension_twin.diagnosis.preexisting import as_preexisting
+from suspension_twin.diagnosis.preexisting import REBASE_GAIN, as_preexisting
 from suspension_twin.diagnosis.tone_search import tone_peaks, tone_starts
 from suspension_twin.errors import WorkError
 from suspension_twin.inference.checkpoint import Rounds, stored
@@ -39,35 +40,22 @@ from suspension_twin.inference.posterior import travel
 from suspension_twin.inference.problem import Problem
 from suspension_twin.inference.sensor_correction import Turn
 
-__all__ = ["Search", "Single", "joint_fit", "pairs", "refitted_under_noise", "singles", "without_one"]
+__all__ = ["FINALISTS", "Search", "Single", "joint_fit", "pairs", "singles", "without_one"]
 
-_STARTS, _TRIED, _JOINT_STARTS = 16, 3, 128
-_WIDE_STARTS = 8
+#: Sobol points of one effect, and of all effects together; starts, peaks and sets that are fitted: the best of them.
+_STARTS, _JOINT_STARTS, _TRIED = 16, 128, 3
 _SCANNED = 32  # frequencies of a resonance scan
-#: Changes of the log slopes of springs and dampers from the baseline, as starting vehicles.
-_VEHICLES = ((0.0, 0.0), (-0.3, 0.0), (-0.6, 0.0), (0.0, -0.25), (0.0, -0.6), (-0.3, -0.6), (0.0, -1.2))
-#: Starting vehicles for effects with a clearance, which is this quantile of the size of the travel: a stop that touches
-#: in a fifth of the drive leaves the characteristics their part.
-_EARLY, _TOUCHES = ((-0.6, 0.0), (0.0, -0.3)), 0.8
-_HEARD = 2  # peaks of a tone that are fitted, the strongest in a simulation
-_FINE = 5  # iterations at most of the second fit of the best effects
+#: Changes of the log slopes of springs from the baseline, of dampers up to twice that, as starting vehicles.
+_SOFTER = (0.0, -0.3, -0.6)
+#: Quantile of the size of the travel at which an effect with a clearance touches in its start: a stop that touches in a
+#: fifth of the drive leaves the characteristics their part.
+_TOUCHES = 0.8
 #: Ratio of the cost of a start to the best cost so far up to which a fit is run from it.
 _COST_RATIO = 3.0
-_REBASE_GAIN = (
-    3.0  # -2 log posterior that a baseline has to improve by for all effects to be refitted from it
-)
-#: Improvement of an effect's fit, over that of the baseline, by which a repeated fit is expected at most: 1.4 was seen.
-_REBASE_SHARE = 2.0
-#: Share of the best gain that an effect needs on an excerpt to be fitted to the whole drives at once: what has less is
-#: far from a finalist.
-_HOPEFUL = 0.05
 #: Effects whose fit is repeated with all columns of the Jacobian: those with a share of the best gain of the first
 #: search, at least the first number and at most the second.
-_FINALIST_GAIN, _FINALISTS = 0.2, (3, 7)
-_BEST_PAIRS = 3
+_FINALIST_GAIN, FINALISTS = 0.2, (3, 7)
 _VARIANTS = 2  # of an effect that are fitted: the best by screening
-#: Nuisance parameters that have the same action as an effect.
-_SHARED = ("clock_offset", "map_position", "tilt_roll", "tilt_pitch")
 #: Nats by which an effect has to change the signals, somewhere over its prior, to be judged.
 LEAST_POWER = 5.0
 
@@ -105,23 +93,17 @@ class Single:
     def fit(self) -> Fit:
         return self.evidence.fit
 
-    @property
-    def judged(self) -> bool:
-        """Whether the drives excite the effect enough for a judgement."""
-        return bool(self.powers.max() >= LEAST_POWER)
-
 
 @stored
 @dataclass(frozen=True, eq=False)
 class _FirstSearch:
-    """The first search of an effect; ``far``: found from another vehicle than the baseline."""
+    """The first search of an effect."""
 
     cost: float
     effect: str
     hypothesis: Hypothesis
     x: Floats
     powers: Floats
-    far: bool = False
 
 
 def singles(
@@ -137,103 +119,68 @@ def singles(
     Returns the baseline, which is refitted from the vehicle of each effect, and the effects. The first search goes over
     the excerpt, if there is one.
     """
-    begun, from_anchor, excerpt, rounds = base, anchor, search.excerpt, search.rounds
+    begun, excerpt, rounds = base, search.excerpt, search.rounds
     if excerpt is not None:
         short = linearised_fit(excerpt.problem, base.x)
         short_anchor = short if anchor is base else linearised_fit(excerpt.problem, anchor.x)
 
-    def whole(effect: str) -> _FirstSearch:
-        found = _first_search(problem, begun, from_anchor, library[effect], search)
-        best = min(found, key=lambda one: one.cost)
+    def first(effect: str) -> _FirstSearch:
+        variants = library[effect]
+        if excerpt is not None and not _since_the_start(variants[0], effect):
+            looked = _first_search(excerpt.problem, short, short_anchor, variants, search)
+            best = min(
+                (_on_whole_drives(problem, begun, anchor, one, excerpt.share) for one in looked),
+                key=lambda one: one.cost,
+            )
+            if math.isfinite(best.cost):
+                return best
+        best = min(_first_search(problem, begun, anchor, variants, search), key=lambda one: one.cost)
         if not math.isfinite(best.cost):
             raise WorkError(f"the twin cannot be simulated with {effect}")
         return best
 
-    def look(effect: str) -> list[_FirstSearch]:
-        if excerpt is None or _since_the_start(library[effect][0], effect):
-            return [whole(effect)]
-        return _first_search(excerpt.problem, short, short_anchor, library[effect], search)
-
-    effects = list(library)
-    looked = rounds.side_by_side(
-        "first search", look, effects, lambda done, name: on_progress(0.5 * done, name.replace("_", " "))
+    rough = rounds.side_by_side(
+        "first search",
+        first,
+        list(library),
+        lambda done, name: on_progress(0.6 * done, name.replace("_", " ")),
     )
-    rough = [min(some, key=lambda one: one.cost) for some in looked]
-    if excerpt is not None:
-        on_excerpt = [not _since_the_start(library[e][0], e) for e in effects]
-        # the vehicle alone fits an excerpt better than it fits the whole drives
-        _, alone = refit(excerpt.problem, [base.x, anchor.x], None, ROUGH)
-        seen = [
-            (alone - r.cost) / excerpt.share if part else begun.cost - r.cost
-            for r, part in zip(rough, on_excerpt, strict=True)
-        ]
-        enough = _HOPEFUL * max(seen)
-
-        def finish(i: int) -> _FirstSearch:
-            if not on_excerpt[i]:
-                return rough[i]
-            iterations = ROUGH if seen[i] >= enough else 0
-            found = [
-                _on_whole_drives(problem, begun, from_anchor, one, excerpt.share, iterations)
-                for one in looked[i]
-            ]
-            best = min(found, key=lambda one: one.cost)
-            return best if math.isfinite(best.cost) else whole(effects[i])
-
-        rough = rounds.side_by_side(
-            "whole drives",
-            finish,
-            range(len(effects)),
-            lambda done, i: on_progress(0.5 + 0.15 * done, effects[i].replace("_", " ")),
-        )
     base = _rebased_baseline(problem, base, [r.x for r in rough])
-    moved = base.cost < begun.cost - _REBASE_GAIN
-    # what can be no finalist, even if its fit improves by more than the baseline has, is not repeated
-    allowance = _REBASE_SHARE * (begun.cost - base.cost)
-    least = _FINALIST_GAIN * (base.cost - min(r.cost for r in rough))
-    again = [i for i, r in enumerate(rough) if base.cost - r.cost + allowance >= least]
-    repeated = rounds.side_by_side(
+    moved = base.cost < begun.cost - REBASE_GAIN
+    rough = rounds.side_by_side(
         "from the better baseline",
-        lambda i: _restarted(problem, base, moved, rough[i], search.seed),
-        again,
-        lambda done, _: on_progress(0.6, "baseline"),
+        lambda r: _restarted(problem, base, moved, r, search.seed),
+        rough,
+        lambda done, _: on_progress(0.6 + 0.05 * done, "baseline"),
     )
-    found_again = dict(zip(again, repeated, strict=True))
-    rough = [found_again.get(i, r) for i, r in enumerate(rough)]
-    order = sorted(range(len(rough)), key=lambda i: rough[i].cost)
-    gains = base.cost - np.array([rough[i].cost for i in order])
-    count = int(np.count_nonzero(gains >= _FINALIST_GAIN * max(gains[0], 0.0)))
-    finalists = set(order[: int(np.clip(count, *_FINALISTS))])
+    gains = np.array([base.cost - r.cost for r in rough])
+    count = int(np.count_nonzero(gains >= _FINALIST_GAIN * max(gains.max(), 0.0)))
+    finalists = np.argsort(-gains, kind="stable")[: int(np.clip(count, *FINALISTS))].tolist()
 
     def judge(i: int) -> Single:
-        r, v, preexisting = rough[i], rough[i].hypothesis, None
+        r, final = rough[i], i in finalists
+        v, whole, preexisting = r.hypothesis, problem.having(r.hypothesis), None
         starts = [r.x, np.concatenate([base.x, r.x[problem.shared :]])]
-        if i in finalists:
-            at = fitted(problem.having(v), starts, _FINE)
-        else:
-            at = approximated(problem.having(v), starts, base)
-        shared = not v.differs and r.effect not in NUISANCE_COUNTERPART
-        if i in finalists and not all(problem.data.active) and shared:
+        at = fitted(whole, starts, DEEP) if final else approximated(whole, starts, base)
+        if final and not all(problem.data.active) and not v.differs and r.effect not in NUISANCE_COUNTERPART:
             preexisting = as_preexisting(problem, v, at.x, base, search.blocks)
         if at.cost >= base.cost:
             ends = v.negligible()
             none = np.concatenate([np.repeat(base.x[:, None], ends.shape[1], axis=1), ends])
-            at = approximated(problem.having(v), list(none.T), base)
-        other = coordinate_scan(problem.having(v), at) if i in finalists else None
+            at = approximated(whole, list(none.T), base)
+        other = coordinate_scan(whole, at) if final else None
         if other is not None:
-            at = fitted(problem.having(v), [other], DEEP)
+            at = fitted(whole, [other], DEEP)
         # far from the best one, the linearisation says enough of what a fold takes away
-        own = evidence(problem.having(v), at, search.blocks, linear=i not in finalists)
-        return Single(r.effect, own, r.powers, i in finalists, preexisting)
+        own = evidence(whole, at, search.blocks, linear=not final)
+        return Single(r.effect, own, r.powers, final, preexisting)
 
-    judged = rounds.side_by_side(
+    return base, rounds.side_by_side(
         "finalists",
         judge,
-        order,
+        range(len(rough)),
         lambda done, i: on_progress(0.65 + 0.35 * done, f"{rough[i].effect.replace('_', ' ')}, once more"),
     )
-    found = dict(zip(order, judged, strict=True))
-    return base, [found[i] for i in range(len(rough))]
 
 
 def _since_the_start(hypothesis: Hypothesis, name: str) -> bool:
@@ -248,15 +195,13 @@ def _on_whole_drives(
     anchor: LinearisedFit,
     part: _FirstSearch,
     share: float,
-    iterations: int,
 ) -> _FirstSearch:
     """A first search over an excerpt with ``share`` of the information, fitted to the whole drives."""
     v, p = part.hypothesis, problem.shared
     u = part.x[p:]
     starts = [part.x, *(np.concatenate([x, u]) for x in (base.x, anchor.x))]
     starts.append(np.concatenate([base.x, v.neutral()]))
-    far = part.far and iterations > 0
-    x, cost = refit(problem.having(v), starts, None if far else anchor.at, iterations, alternate_jacobian=far)
+    x, cost = refit(problem.having(v), starts, anchor.at, ROUGH)
     cost += coarse_search.MISALIGNMENT_PENALTY * bool(v.around)
     return replace(part, cost=cost, x=x, powers=part.powers / share)
 
@@ -279,7 +224,7 @@ def _first_search(
         [
             x
             for vehicle in ((anchor,) if base is anchor else (anchor, base))
-            for x in tone_starts(problem, vehicle, vehicle.at.residual, v, effect, own)[:_HEARD]
+            for x in tone_starts(problem, vehicle, v, effect, own)
         ]
         for v, own in zip(variants, peaks, strict=True)
     ]
@@ -312,11 +257,10 @@ def _first_search(
         whole = [
             start for begun, start in _softened_starts(problem, base, v, seed) if begun < _COST_RATIO * cost
         ]
-        moved = False
         for start in (*_typical_start(problem, base, v), *whole):
             y, other = refit(problem.having(v), [start], None, DEEP, alternate_jacobian=True)
-            x, cost, moved = (y, other, True) if other < cost else (x, cost, moved)
-        found.append(_FirstSearch(cost, effect, v, x, powers, moved))
+            x, cost = (y, other) if other < cost else (x, cost)
+        found.append(_FirstSearch(cost, effect, v, x, powers))
     return found
 
 
@@ -344,7 +288,7 @@ def _resonant(
 def _rebased_baseline(problem: Problem, base: LinearisedFit, found: Sequence[Floats]) -> LinearisedFit:
     """The baseline refitted from the vehicle of each effect, so that no effect is credited with a better vehicle."""
     p = problem.shared
-    better = fitted(problem, [base.x, *(y[:p] for y in found)], 2 * ROUGH)
+    better = fitted(problem, [base.x, *(y[:p] for y in found)], LONG)
     return better if better.cost < base.cost else base
 
 
@@ -362,7 +306,8 @@ def _restarted(
         starts += screen(problem.having(v), base, v.starts(_STARTS, seed)).x[:_TRIED]
     found = [refit(problem.having(v), starts, base.at, ROUGH)] if moved else [(rough.x, rough.cost)]
     if rough.hypothesis.effect(rough.effect).where in SETUP_CATEGORIES:
-        names = tuple(n for n in problem.nuisances.names if n.endswith(_SHARED))
+        same = tuple(n for names in NUISANCE_COUNTERPART.values() for n in names)
+        names = tuple(n for n in problem.nuisances.names if n.endswith(same))
         frozen = replace(problem, prior=replace(problem.prior, frozen=names))
         begun, _ = refit(frozen.having(v), starts, base.at, ROUGH)
         found.append(refit(problem.having(v), [begun], base.at, ROUGH))
@@ -396,31 +341,28 @@ def _softened_starts(
     effect = hypothesis.effect(hypothesis.effects[-1])
     if effect.where not in ("strut", "tyre", "body") or effect.tone is not None:
         return []
-    p = problem.shared
-
-    def vehicle(springs: float, dampers: float) -> Floats:
-        return problem.space.shifted(base.x[:p], springs, dampers)
-
-    starts = hypothesis.starts(_WIDE_STARTS, seed + 1)
-    many = [vehicle(*v) for v in _VEHICLES]
-    x = np.concatenate(
-        [np.concatenate([np.repeat(z[:, None], _WIDE_STARTS, axis=1), starts]) for z in many], axis=1
-    )
+    p, whole = problem.shared, problem.having(hypothesis)
+    vehicles = [
+        problem.space.shifted(base.x[:p], springs, 2.0 * dampers)
+        for springs, dampers in product(_SOFTER, repeat=2)
+    ]
+    starts = [hypothesis.starts(_STARTS // 2, seed + 1)]
     # a stop that hardly touches has the lowest cost but no gradient: starts that touch are added
-    early_contact = []
     if hypothesis.has_clearance:
         known = travel(twin_of(problem, base), problem)
         far = {
             axle: float(np.quantile(np.abs(x - known.static[axle]), _TOUCHES))
             for axle, x in known.compression.items()
         }
-        touching = hypothesis.early_contact(far)
-        early_contact = [np.concatenate([vehicle(*v), touching])[:, None] for v in _EARLY]
-    x = problem.having(hypothesis).clipped(np.concatenate([x, *early_contact], axis=1))
-    costs = problem.having(hypothesis).costs(x)
-    first = costs.size - len(early_contact)
-    tried = [int(np.argmin(costs[:first])), *range(first, costs.size)]
-    return [(float(costs[i]), x[:, i]) for i in tried if np.isfinite(costs[i])]
+        starts.append(hypothesis.early_contact(far)[:, None])
+    found = []
+    for own in starts:
+        lanes = [np.concatenate([np.repeat(z[:, None], own.shape[1], axis=1), own]) for z in vehicles]
+        x = whole.clipped(np.concatenate(lanes, axis=1))
+        costs = whole.costs(x)
+        best = int(np.argmin(costs))
+        found.append((float(costs[best]), x[:, best]))
+    return found
 
 
 def pairs(
@@ -468,12 +410,12 @@ def pairs(
             starts = [*starts, *(np.concatenate([first.fit.x, x[own:]]) for x in starts)]
         joint = problem.having(both)
         x, _ = refit(joint, starts, known, ROUGH)
-        return evidence(joint, fitted(joint, [x], 2), search.blocks)
+        return evidence(joint, fitted(joint, [x], ROUGH), search.blocks)
 
     return rounds.side_by_side(
         f"joined to {there.name}",
         join,
-        list(best.values())[:_BEST_PAIRS],
+        list(best.values())[:_TRIED],
         lambda done, at: on_progress(0.7 + 0.3 * done, f"{at[0].name}, jointly".replace("_", " ")),
     )
 
@@ -489,7 +431,7 @@ def _looked(
     more = [
         [
             *_resonant(problem, start, both, v),
-            *tone_starts(problem, start, start.at.residual, both, effect, own)[:_HEARD],
+            *tone_starts(problem, start, both, effect, own),
         ]
         for (both, _), v, own in zip(tried, variants, _peaks(problem, start, effect, variants), strict=True)
     ]
@@ -499,7 +441,7 @@ def _looked(
         for (both, _), found in zip(tried, more, strict=True)
     ]
     return [
-        (start.cost - min([s.cost[0], *cost]), both, [*s.x[:2], *found])
+        (start.cost - min([s.cost[0], *cost]), both, [*s.x[:_TRIED], *found])
         for (both, s), cost, found in zip(screens, costs, more, strict=True)
     ]
 
@@ -526,11 +468,6 @@ def joint_fit(
     found = [(h, *fit) for (h, _), fit in zip(tried, fits, strict=True)]
     best, x, _ = min(found, key=lambda f: f[2] + coarse_search.MISALIGNMENT_PENALTY * bool(f[0].around))
     return linearised_fit(problem.having(best), x)
-
-
-def refitted_under_noise(problem: Problem, fit: LinearisedFit) -> LinearisedFit:
-    """Refit a hypothesis with the noise model of the problem."""
-    return fitted(problem.having(fit.hypothesis), [fit.x], LONG)
 
 
 def without_one(problem: Problem, whole: Evidence, blocks: Blocks) -> list[Evidence]:

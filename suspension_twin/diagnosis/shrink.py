@@ -20,6 +20,7 @@ from suspension_twin.inference.hypothesis import Hypothesis
 from suspension_twin.inference.problem import Problem
 
 __all__ = [
+    "DRAWS",
     "BlockBootstrap",
     "RemainingResidual",
     "Shrink",
@@ -28,7 +29,7 @@ __all__ = [
     "uncalibrated_residual",
 ]
 
-_DRAWS = 2000
+DRAWS = 2000  # of a bootstrap
 #: Prior of the standard deviation of log(after / before) from drive to drive of one car on one road, and its degrees of
 #: freedom; lower limit of after / before, below which the residual is noise.
 _FROM_DRIVE_TO_DRIVE, _COUNTS_AS = 0.15, 4
@@ -145,7 +146,7 @@ class BlockBootstrap:
         )
         used = np.flatnonzero(count.any(axis=0))
         even = np.full(used.size, 1.0 / used.size)
-        drawn = np.random.default_rng(seed).multinomial(used.size, even, _DRAWS).astype(float)
+        drawn = np.random.default_rng(seed).multinomial(used.size, even, DRAWS).astype(float)
         floor = np.array([noise[c] for c in problem.channels])
         return cls(rows, cell, count, used, drawn, floor, seed)
 
@@ -188,11 +189,11 @@ class BlockBootstrap:
 
 
 def _new_drive_scatter(before: Floats, after: Floats, rng: np.random.Generator) -> Floats:
-    """(_DRAWS,) draws of log(after / before) of one more drive, about that of these drives (D,)."""
+    """(DRAWS,) draws of log(after / before) of one more drive, about that of these drives (D,)."""
     known = before > 1e-12
     # below the noise the ratio is undetermined
     remaining = np.log(np.maximum(after[known] / before[known], _LEAST_SHARE_LEFT))
     apart = float(np.sum((remaining - remaining.mean()) ** 2)) if remaining.size else 0.0
     freedom = _COUNTS_AS + max(remaining.size - 1, 0)
     variance = (_COUNTS_AS * _FROM_DRIVE_TO_DRIVE**2 + apart) / freedom * (1.0 + 1.0 / max(remaining.size, 1))
-    return np.asarray(np.sqrt(variance) * rng.standard_t(freedom, _DRAWS))
+    return np.asarray(np.sqrt(variance) * rng.standard_t(freedom, DRAWS))

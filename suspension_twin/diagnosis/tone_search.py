@@ -18,7 +18,7 @@ is 2 pi (f t' + n s') with the time t' below that speed and the distance s' abov
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,7 +26,7 @@ from scipy.fft import fft, next_fast_len
 
 from suspension_twin.arrays import Floats
 from suspension_twin.effects.base import Effect, Harmonic
-from suspension_twin.inference.fit import Fit
+from suspension_twin.inference.fit import LinearisedFit
 from suspension_twin.inference.hypothesis import Hypothesis
 from suspension_twin.inference.observation import VERTICAL
 from suspension_twin.inference.problem import Problem, whitener_of
@@ -39,7 +39,7 @@ _SECTION, _LONGER = 12.0, 3.0
 #: Grid points for each resolution, 1 / duration or 1 / distance: half a bin off loses a tenth of the power.
 _FINE = 2.5
 _PEAKS = 3
-_AROUND = 4  # grid points on either side of a peak in a later stage
+_AROUND = 4  # grid points on either side of a peak that belong to it, and in a later stage
 _LEAST = 32  # samples of a section
 _FLOORED = 4.0  # s of a section that has one side of a tone with a floor
 _BLOCK = 0.5  # s of a sum: a tone that is a grid point off turns by less than a tenth meanwhile
@@ -121,15 +121,45 @@ def tone_peaks(
 
 def tone_starts(
     problem: Problem,
-    base: Fit,
-    residual: Floats,
+    base: LinearisedFit,
     hypothesis: Hypothesis,
     effect: str,
-    peaks: list[Mapping[str, float]],
+    peaks: Sequence[Mapping[str, float]],
 ) -> list[Floats]:
-    """Unknowns of a hypothesis with one more effect than ``base``, whose residual (R,) has those ``peaks``: with the
+    """Unknowns of a hypothesis with one more effect than ``base``, whose residual has those ``peaks``: with the
     strength and phases that lower the sum of squares most, the best first."""
-    return _simulated(problem, base, residual, hypothesis, effect, peaks) if peaks else []
+    if not peaks:
+        return []
+    tone, residual = hypothesis.effect(effect).tone, base.at.residual
+    assert tone is not None
+    rows = {key.split(".")[2]: i for i, key in enumerate(hypothesis.keys) if key.split(".")[1] == effect}
+    strength, phases = rows[tone.strength], [i for name, i in rows.items() if name.startswith(tone.phase)]
+    spread, p = hypothesis.searched[strength][1].spread, problem.shared
+    kept = hypothesis.neutral()
+    kept[: base.x.size - p] = base.x[p:]
+    kept[strength] = hypothesis.coordinate(strength, spread)
+    points = np.repeat(kept[:, None], 2 * len(peaks), axis=1)
+    for i in phases:
+        points[i, ::2], points[i, 1::2] = (hypothesis.coordinate(i, turn) for turn in (0.0, 0.5 * np.pi))
+    for k, parameters in enumerate(peaks):
+        for name, value in parameters.items():
+            points[rows[name], 2 * k : 2 * k + 2] = hypothesis.coordinate(rows[name], value)
+    start = np.repeat(base.x[:p, None], points.shape[1], axis=1)
+    tried, failed = problem.having(hypothesis).residuals(np.concatenate([start, points]))
+    found: list[tuple[float, Floats]] = []
+    for k in range(0, points.shape[1], 2):
+        if failed[k : k + 2].any():
+            continue
+        parts = _of_drives(problem, residual, tried[:, k : k + 2] - residual[:, None])
+        energy = sum(weight for weight, _, _ in parts.values())
+        size = sum(weight * abs(a) ** 2 for weight, a, _ in parts.values()) / max(energy, 1e-300)
+        at = points[:, k].copy()
+        at[strength] = hypothesis.coordinate(strength, spread * float(np.sqrt(size)))
+        for drive, i in enumerate(phases):
+            if drive in parts:
+                at[i] = hypothesis.coordinate(i, float(np.angle(parts[drive][1])))
+        found.append((sum(gain for _, _, gain in parts.values()), np.concatenate([base.x[:p], at])))
+    return [x for _, x in sorted(found, key=lambda pair: -pair[0])]
 
 
 def _series(problem: Problem, residual: Floats, power: int, left: float) -> list[_Series]:
@@ -163,29 +193,37 @@ def _peaks(series: list[_Series], tone: Harmonic, rate: float) -> list[tuple[flo
         return []
     duration = max(one.clock[-1] - one.clock[0] for one in series)
     seconds = min(_SECTION, duration)
-    every = [one.sections(seconds) for one in series]
-    # as many of each series, spread over it
-    most = max(1, _MOST // len(series))
-    chosen = [
-        np.unique(np.linspace(0, len(one) - 1, min(most, len(one))).round().astype(int))
-        for one in every
-        if one
-    ]
-    sections = [one[i] for one, own in zip((e for e in every if e), chosen, strict=True) for i in own]
+    sections = []
+    for own in (one.sections(seconds) for one in series):
+        # as many of each series, spread over it
+        count = min(max(1, _MOST // len(series)), len(own))
+        sections += [own[i] for i in np.unique(np.linspace(0, len(own) - 1, count).round().astype(int))]
     if not sections:
         return []
     step = 1.0 / (_FINE * max(float(np.ptp(part.t)) for part in sections))
     pace = 1.0 / (_FINE * max(max(float(np.ptp(part.s)) for part in sections), 1.0))
     f, n, power = _over_range(sections, tone, rate, step, pace)
-    found = []
+    return [
+        _refined(series, tone, at, seconds, duration, (step, pace))
+        for at in _maxima(power, (f, n), (step, pace))
+    ]
+
+
+def _maxima(
+    power: Floats, grid: tuple[Floats, Floats], resolution: tuple[float, float]
+) -> Iterator[tuple[float, float]]:
+    """(f, n) of the largest values of ``power`` (N, F) on a ``grid`` f (F,), n (N,), the largest first; each leaves
+    out its neighbours."""
+    (f, n), (step, pace) = grid, resolution
+    left = power.copy()
     for _ in range(_PEAKS):
-        i, j = np.unravel_index(int(np.argmax(power)), power.shape)
-        found.append((float(f[j]), float(n[i])))
-        near = (np.abs(f - f[j]) < 4.0 * step)[None, :] & (np.abs(n - n[i]) < 4.0 * pace)[:, None]
-        power[near] = -np.inf
-        if not np.isfinite(power).any():
-            break
-    return [_refined(series, tone, at, seconds, duration, (step, pace)) for at in found]
+        i, j = np.unravel_index(int(np.argmax(left)), left.shape)
+        if not np.isfinite(left[i, j]):
+            return
+        yield float(f[j]), float(n[i])
+        left[
+            (np.abs(n - n[i]) < _AROUND * pace)[:, None] & (np.abs(f - f[j]) < _AROUND * step)[None, :]
+        ] = -np.inf
 
 
 def _floored_peaks(series: list[_Series], tone: Harmonic) -> list[tuple[float, float]]:
@@ -210,13 +248,7 @@ def _floored_peaks(series: list[_Series], tone: Harmonic) -> list[tuple[float, f
     power = below[slower, np.arange(f.size)] + above[slower, np.arange(n.size)[:, None]]
     power = np.where(both, power, -np.inf)
     found = []
-    for _ in range(_PEAKS):
-        i, j = np.unravel_index(int(np.argmax(power)), power.shape)
-        if not np.isfinite(power[i, j]):
-            break
-        at = float(f[j]), float(n[i])
-        near = (np.abs(f - f[j]) < 4.0 * step)[None, :] & (np.abs(n - n[i]) < 4.0 * pace)[:, None]
-        power[near] = -np.inf
+    for at in _maxima(power, (f, n), (step, pace)):
         for _ in range(2):  # the second time with the speed that the first one found
             if not at[0] > 0.0 < at[1]:
                 break
@@ -239,10 +271,8 @@ def _over_range(
     (low_f, high_f), (low_n, high_n) = tone.frequencies, tone.wavenumbers
     n = np.arange(low_n, high_n + pace, pace) if high_n > low_n else np.array([low_n])
     if not high_f > low_f:
-        only = np.zeros((n.size, 1))
-        for part in sections:
-            only[:, 0] += np.abs(np.exp(-2j * np.pi * n[:, None] * part.s[None, :]) @ part.weighted) ** 2
-        return np.array([low_f]), n, only
+        only = sum(_power(n, part.s, part.weighted) for part in sections)
+        return np.array([low_f]), n, np.asarray(only)[:, None]
     # of what is above the range nothing is left, nor of negative frequencies: so few samples are enough
     count = next_fast_len(int(np.ceil(_SAMPLES * high_f / step)))
     slow = count * step
@@ -292,51 +322,6 @@ def _refined(
         f, n = float(tried_f[i]), float(tried_n[j])
         if seconds >= duration:
             return at[0] + f, at[1] + n
-
-
-def _simulated(
-    problem: Problem,
-    base: Fit,
-    residual: Floats,
-    hypothesis: Hypothesis,
-    effect: str,
-    peaks: list[Mapping[str, float]],
-) -> list[Floats]:
-    tone = hypothesis.effect(effect).tone
-    assert tone is not None
-    rows = [i for i, key in enumerate(hypothesis.keys) if key.split(".")[1] == effect]
-    names = {hypothesis.keys[i].split(".")[2]: i for i in rows}
-    strength, phases = names[tone.strength], [i for name, i in names.items() if name.startswith(tone.phase)]
-    spread = hypothesis.searched[strength][1].prior.spread
-    kept = hypothesis.neutral()
-    kept[: base.x.size - problem.d - problem.q] = base.x[problem.shared :]
-    points = np.repeat(kept[:, None], 2 * len(peaks), axis=1)
-    for k, parameters in enumerate(peaks):
-        for name, value in parameters.items():
-            points[names[name], 2 * k : 2 * k + 2] = hypothesis.coordinate(names[name], value)
-        points[strength, 2 * k : 2 * k + 2] = hypothesis.coordinate(strength, spread)
-        for i in phases:
-            points[i, 2 * k : 2 * k + 2] = (
-                hypothesis.coordinate(i, 0.0),
-                hypothesis.coordinate(i, 0.5 * np.pi),
-            )
-    p = problem.shared
-    start = np.repeat(base.x[:p, None], points.shape[1], axis=1)
-    tried, failed = problem.having(hypothesis).residuals(np.concatenate([start, points]))
-    found: list[tuple[float, Floats]] = []
-    for k in range(len(peaks)):
-        if failed[2 * k : 2 * k + 2].any():
-            continue
-        parts = _of_drives(problem, residual, tried[:, 2 * k : 2 * k + 2] - residual[:, None])
-        energy = sum(weight for weight, _, _ in parts.values())
-        size = sum(weight * abs(a) ** 2 for weight, a, _ in parts.values()) / max(energy, 1e-300)
-        at = points[:, 2 * k].copy()
-        at[strength] = hypothesis.coordinate(strength, spread * float(np.sqrt(size)))
-        for drive, i in enumerate(phases):
-            if drive in parts:
-                at[i] = hypothesis.coordinate(i, float(np.angle(parts[drive][1])))
-        found.append((sum(gain for _, _, gain in parts.values()), np.concatenate([base.x[:p], at])))
-    return [x for _, x in sorted(found, key=lambda pair: -pair[0])]
 
 
 def _of_drives(

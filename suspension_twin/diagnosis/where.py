@@ -27,11 +27,14 @@ from scipy.ndimage import gaussian_filter1d, median_filter
 from scipy.stats import false_discovery_control, norm
 
 from suspension_twin.arrays import Floats, runs
-from suspension_twin.diagnosis.shrink import RemainingResidual, drives_of
+from suspension_twin.diagnosis.coarse_search import GRID, GRID_OF_SEVERAL
+from suspension_twin.diagnosis.judge import ADDED
+from suspension_twin.diagnosis.shrink import DRAWS, RemainingResidual, drives_of
 from suspension_twin.files import Json
+from suspension_twin.inference.excited_segments import TrimSettings
 from suspension_twin.inference.fit import DEEP, refit
 from suspension_twin.inference.hypothesis import Hypothesis
-from suspension_twin.inference.noise import density, shares
+from suspension_twin.inference.noise import SEGMENT, density, shares
 from suspension_twin.inference.parallel import side_by_side
 from suspension_twin.inference.problem import Problem, counting, whitener_of
 from suspension_twin.models.simulate import simulate_twin
@@ -44,18 +47,14 @@ __all__ = [
     "Tone",
     "concentrated_section",
     "localise",
-    "no_concentration",
-    "no_road_error",
     "road_error_matches",
     "signature",
     "strongest_tone",
     "unevenness",
 ]
 
-#: s of an interval of time in ``where``; samples of a segment of a spectrum, as in ``inference.noise``.
-_WINDOW, _SEGMENT = 0.5, 256
-#: Draws of the bootstrap, and the rate of false discoveries (Benjamini, Hochberg 1995).
-_DRAWS, _FALSE_DISCOVERY_RATE = 1000, 0.1
+#: Rate of false discoveries (Benjamini, Hochberg 1995).
+_FALSE_DISCOVERY_RATE = 0.1
 #: Ratio of the gap at an operating point to its mean, share of the gap and number of intervals that are reported.
 _STANDS_OUT, _LEAST_SHARE, _MOST = 1.25, 0.02, 8
 
@@ -71,12 +70,13 @@ def _of_parts(problem: Problem, name: str) -> Floats:
 
 def _with_gap(problem: Problem) -> list[tuple[Any, NDArray[np.intp], slice]]:
     """Observation, its compared samples, and their place among all samples, for every part of a drive with the gap."""
-    problem, first, found = problem, 0, []
-    for part, rows, drive in zip(problem.data.parts, problem.data.rows, problem.data.drive_of, strict=True):
-        if problem.data.active[drive]:
-            found.append((part, rows, slice(first, first + rows.size)))
-        first += rows.size
-    return found
+    data = problem.data
+    ends = np.cumsum([rows.size for rows in data.rows])
+    return [
+        (part, rows, slice(end - rows.size, end))
+        for part, rows, drive, end in zip(data.parts, data.rows, data.drive_of, ends, strict=True)
+        if data.active[drive]
+    ]
 
 
 def _motion(problem: Problem, twin: Twin) -> tuple[Floats, Floats]:
@@ -142,7 +142,7 @@ def _time(problem: Problem, excess: Sequence[Floats], total: float) -> list[Json
     """Runs of half seconds with significantly more of the gap than the others."""
     items = []
     for (part, rows, _), energy in zip(_with_gap(problem), excess, strict=True):
-        size = max(4, int(_WINDOW * part.rate))
+        size = max(4, int(TrimSettings().window * part.rate))
         count = energy.size // size
         if count < 4:
             continue
@@ -185,7 +185,7 @@ def _expected_density(problem: Problem, difference: Floats, column: int) -> Floa
     found on reference drives, band by band; zeros without a reference."""
     measured, others = problem.measured, [d for d, a in enumerate(problem.data.active) if not a]
     if not others:
-        return np.zeros(_SEGMENT // 2 + 1)
+        return np.zeros(SEGMENT // 2 + 1)
     own = [s for s, d in zip(measured.segments, measured.drives, strict=True) if problem.data.active[d]]
     motion = density(measured.values[:, column], own, measured.rate)
     return np.asarray(shares(measured, difference, others)[column] ** 2 * motion)
@@ -195,10 +195,10 @@ def _periodograms(series: Sequence[Floats], rate: float) -> tuple[Floats, Floats
     """Frequencies (F,) and periodograms (N, F) of half overlapping segments; a shorter drive is one segment."""
     found = []
     for x in series:
-        size = min(_SEGMENT, x.size)
+        size = min(SEGMENT, x.size)
         for start in range(0, x.size - size + 1, max(size // 2, 1)):
             part = x[start : start + size]
-            f, power = signal.periodogram(part, fs=rate, window="hann", nfft=_SEGMENT, detrend="linear")  # type: ignore[call-overload]
+            f, power = signal.periodogram(part, fs=rate, window="hann", nfft=SEGMENT, detrend="linear")  # type: ignore[call-overload]
             found.append(power)
     return f, np.array(found)
 
@@ -217,7 +217,7 @@ def _bands(series: Sequence[Floats], rate: float, floor: float, expected: Floats
     blocks = np.arange(len(power)) // 2
     count = int(blocks[-1]) + 1
     sums = np.stack([power[blocks == b].sum(axis=0) for b in range(count)])
-    drawn = np.random.default_rng(0).multinomial(count, np.full(count, 1.0 / count), _DRAWS).astype(float)
+    drawn = _bootstrap(count)
     means = np.einsum("kb,bf->kf", drawn, sums, optimize=False)
     means /= np.einsum("kb,b->k", drawn, np.bincount(blocks), optimize=False)[:, None]
     explained = np.maximum(expected[inside], floor**2 / 20.0)
@@ -226,7 +226,7 @@ def _bands(series: Sequence[Floats], rate: float, floor: float, expected: Floats
     if even[0] <= 0:
         return []
     fewer = (above[1:] / octaves <= even[1:, None]).mean(axis=0)
-    p = np.clip(fewer, 0.5 / _DRAWS, 1.0)
+    p = np.clip(fewer, 0.5 / DRAWS, 1.0)
     items = [
         {
             "low_hz": round(float(f[low] - half), 2),
@@ -284,18 +284,23 @@ def _by_motion(problem: Problem, energy: Floats, twin: Twin) -> Json:
         _, block = np.unique(np.floor(part.t[rows] - part.t[0]), return_inverse=True)
         blocks.append(block + first)
         first = int(blocks[-1].max()) + 1
-    drawn = np.random.default_rng(0).multinomial(first, np.full(first, 1.0 / first), _DRAWS).astype(float)
     quantities = [("speed", np.concatenate(speed), "m/s")]
     for axle, own in twin.axles.items():
         quantities += [
             (f"{axle} damper velocity".strip(), _larger(velocity[:, own.columns]), "m/s"),
             (f"{axle} spring travel".strip(), _larger(travel[:, own.columns]), "m"),
         ]
-    block = np.concatenate(blocks)
+    block, drawn = np.concatenate(blocks), _bootstrap(first)
     return {
         "corner": _corners(velocity, energy, block, drawn) if velocity.shape[1] == len(CORNERS) else [],
         "operating_point": _operating_points(quantities, energy, block, drawn),
     }
+
+
+def _bootstrap(count: int) -> Floats:
+    """(DRAWS, count) how often each draw holds each of so many blocks."""
+    even = np.full(count, 1.0 / count)
+    return np.random.default_rng(0).multinomial(count, even, DRAWS).astype(float)
 
 
 def _larger(values: Floats) -> Floats:
@@ -348,7 +353,7 @@ def _operating_points(
             for w in (energy, np.ones(energy.size))
         )
         draws = _over_mean(*(np.einsum("kb,bi->ki", drawn, v, optimize=False) for v in (sums, counts)))
-        chance = np.clip((draws <= 1.0).mean(axis=0), 0.5 / _DRAWS, 1.0)
+        chance = np.clip((draws <= 1.0).mean(axis=0), 0.5 / DRAWS, 1.0)
         whole = _over_mean(sums.sum(axis=0), counts.sum(axis=0))
         tried.append((name, unit, edges, sums.sum(axis=0), whole, chance))
     if not tried:
@@ -381,7 +386,8 @@ def signature(problem: Problem, difference: Floats, twin: Twin) -> Json:
     names = problem.channels
     column = _main_channel(names)
     series = [difference[place, column] for *_, place in _with_gap(problem)]
-    f, power = _pooled_density(series, problem.measured.rate)
+    f, segments = _periodograms(series, problem.measured.rate)
+    power = segments.mean(axis=0)
     cumulative = np.cumsum(power) / power.sum()
     low, high = (float(f[np.searchsorted(cumulative, q)]) for q in (0.1, 0.9))
     out: Json = {
@@ -416,15 +422,6 @@ def signature(problem: Problem, difference: Floats, twin: Twin) -> Json:
         if over.size:
             out[f"triggers_above_{label}"] = {"value": round(float(edges[over[0]]), 4), "unit": unit}
     return out
-
-
-def _pooled_density(series: Sequence[Floats], rate: float) -> tuple[Floats, Floats]:
-    """Frequencies and the pooled power density of several residuals."""
-    size = min(512, *(s.size for s in series))
-    found = [signal.welch(s, fs=rate, nperseg=size, detrend="linear") for s in series]  # type: ignore[call-overload]
-    weights = np.array([float(s.size) for s in series])
-    total = sum(power * weight for (_, power), weight in zip(found, weights, strict=True))
-    return found[0][0], np.asarray(total / weights.sum())
 
 
 def _repeatability(problem: Problem, difference: Floats) -> dict[str, float]:
@@ -500,7 +497,7 @@ def strongest_tone(
 ) -> Tone | None:
     """The most prominent tonal component on drives with the gap that has ``least_share`` of the mean square of a
     channel and that reference drives do not show; None without one."""
-    problem, drive, found = problem, drives_of(problem), []
+    drive, found = drives_of(problem), []
     for domain, (length, step, low, high) in _DOMAINS.items():
         u = _of_parts(problem, "position" if domain == "distance" else "t")
         k = np.arange(round(length / step) + 1) / (2 * length)
@@ -571,20 +568,10 @@ def _neighbourhood(power: Floats) -> Floats:
 
 #: Length in m of the cells of a section.
 _CELL = 4.0
-#: Excess of the share of the residual on a section over its share of the motion, on every pass, with a probability of a
-#: local road error of 0.5 (up to 0.27 on cars and roads without any error), and factor of one standard deviation.
-_CONCENTRATED, _CONCENTRATED_SPREAD = 0.38, 1.15
 #: Share of the largest excess within which a shorter section is preferred.
 _TOLERANCE = 0.1
-#: m before a section where the front wheels reach it, and after it until the free oscillation has decayed.
-_BEFORE, _AFTER = 4.0, 15.0
-#: Grid points over the range of a road error, of one without a sign (a length of smoothing), and about the best.
-_COARSE, _COARSE_UNSIGNED, _FINE = 201, 41, 21
-_LANES = 32  # simulated at once
-#: Shrink of the residual on a section by an error of the road file, with a probability of that error of 0.5, and factor
-#: of one standard deviation; nats by which a reported error may be worse than the best; shrink from which on it is
-#: reported.
-_TAKEN, _TAKEN_SPREAD, _AS_GOOD, _LEAST_TAKEN = 0.25, 1.3, 3.0, 0.05
+#: Shrink of the residual on a section from which on an error of the road file explains it.
+_TAKEN = 0.25
 
 
 @dataclass(frozen=True)
@@ -662,68 +649,50 @@ def _cumulated(values: Floats) -> Floats:
     return np.concatenate([[0.0], np.cumsum(values) / total if total > 0.0 else np.zeros(values.size)])
 
 
-def no_concentration(found: RoadSection | None) -> float:
-    """Probability that the residual is spread over the road as model discrepancy is."""
-    return 1.0 if found is None else _probability_below(found.beyond, _CONCENTRATED, _CONCENTRATED_SPREAD)
-
-
-def no_road_error(found: list[RoadErrorMatch]) -> float:
-    """Probability that the road file has no error on the section of these matches, best first."""
-    return _probability_below(found[0].shrink if found else 0.0, _TAKEN, _TAKEN_SPREAD)
-
-
-def _probability_below(value: float, middle: float, factor: float) -> float:
-    """Probability that a value is below a log-normal threshold about ``middle``, of this ``factor`` as spread."""
-    return float(norm.sf(np.log(max(value, 1e-3) / middle) / np.log(factor)))
-
-
 def road_error_matches(
     problem: Problem, x: Floats, there: RoadSection, effects: list[Hypothesis], temper: float
 ) -> list[RoadErrorMatch]:
     """The ``effects`` of the road, applied on the section only, that explain its residual, the best first.
 
-    Vehicle and nuisance parameters are fitted to the other sections of the road, from ``x`` (d + q,). Each effect has
-    one parameter, which is evaluated on a grid over its range. ``temper`` is the share of the residual that is noise.
+    Vehicle and nuisance parameters are fitted from ``x`` (d + q,) where no wheel is on the section and the
+    vehicle does not oscillate from it. Each effect has one parameter, which is evaluated on a grid over its range and
+    on one about the best. ``temper`` is the share of the residual that is noise.
     """
-    row = _of_parts(problem, "position")[whitener_of(problem).row]
-    near = (row > there.start - _BEFORE) & (row < there.end + _AFTER)
-    own = (row >= there.start) & (row < there.end) & np.array(problem.data.active)[whitener_of(problem).drive]
+    whitener = whitener_of(problem)
+    place, speed = (_of_parts(problem, name)[whitener.row] for name in ("position", "along"))
+    reached = place > there.start - problem.twin.vehicle.wheel_positions[:, 0].max()
+    near = reached & (place < there.end + TrimSettings().after * np.abs(speed))
+    own = (place >= there.start) & (place < there.end) & np.array(problem.data.active)[whitener.drive]
     x, _ = refit(counting(problem, ~near), [x], None, DEEP)
     inside = counting(problem, own)
-    vertical = whitener_of(problem).channel == problem.channels.index("vertical_acceleration")
+    vertical = whitener.channel == problem.channels.index("vertical_acceleration")
 
-    def remaining(hypothesis: Hypothesis, points: Floats) -> tuple[Floats, Floats]:
-        """Sums of squares (n,) on the section, of all channels and of the vertical acceleration."""
-        unknowns = np.vstack([np.repeat(x[:, None], points.size, axis=1), points])
-        every, upright = np.empty(points.size), np.empty(points.size)
-        for begin in range(0, points.size, _LANES):
-            cut = slice(begin, begin + _LANES)
-            residual, failed = inside.having(hypothesis).residuals(unknowns[:, cut])
-            squares = residual[own] ** 2
-            every[cut] = np.where(failed, np.inf, squares.sum(axis=0))
-            upright[cut] = squares[vertical[own]].sum(axis=0)
-        return every, upright
+    def squares(residual: Floats) -> tuple[Floats, Floats]:
+        """Sums of squares (n,) of residuals (R, n) on the section, of all channels and of the vertical acceleration."""
+        return np.sum(residual[own] ** 2, axis=0), np.sum(residual[own & vertical] ** 2, axis=0)
 
-    base = float(np.sum(inside.residuals(x[:, None])[0][vertical] ** 2))
+    _, base = squares(inside.residuals(x[:, None])[0])
 
     def best_of(hypothesis: Hypothesis) -> tuple[float, RoadErrorMatch]:
         """The cost of an effect at its best on the section, and the match."""
         (low,), (high,) = hypothesis.bounds()
-        parameter = hypothesis.searched[0][1]
-        signed = not parameter.prior.log and parameter.lower < parameter.neutral < parameter.upper
-        points = np.linspace(low, high, _COARSE if signed else _COARSE_UNSIGNED)
-        best, step = points[int(np.argmin(remaining(hypothesis, points)[0]))], points[1] - points[0]
-        points = np.clip(np.linspace(best - step, best + step, _FINE), low, high)
-        every, upright = remaining(hypothesis, points)
-        at = int(np.argmin(every))
-        found = hypothesis.values(points[at : at + 1, None].T)[:, 0].tolist()
-        values = dict(zip(hypothesis.keys, found, strict=True))
-        shrink = 1.0 - float(np.sqrt(upright[at] / max(base, 1e-12)))
+        best, step = 0.5 * (low + high), 0.5 * (high - low)
+        for count in (GRID, GRID_OF_SEVERAL):
+            points = np.clip(np.linspace(best - step, best + step, count), low, high)
+            unknowns = np.vstack([np.repeat(x[:, None], count, axis=1), points])
+            residual, failed = inside.having(hypothesis).residuals(unknowns)
+            every, upright = squares(residual)
+            at = int(np.argmin(np.where(failed, np.inf, every)))
+            best, step = points[at], points[1] - points[0]
+        values = dict(
+            zip(hypothesis.keys, hypothesis.values(points[at : at + 1, None])[:, 0].tolist(), strict=True)
+        )
+        shrink = 1.0 - float(np.sqrt(upright[at] / max(base[0], 1e-12)))
         return float(every[at]), RoadErrorMatch(hypothesis.effects[0], values, shrink)
 
     found = sorted(side_by_side(best_of, [h for h in effects if len(h) == 1]), key=lambda f: f[0])
     return [
         match
         for cost, match in found
-        if 0.5 * temper * (cost - found[0][0]) < _AS_GOOD and match.shrink > _LEAST_TAKEN
+        if 0.5 * temper * (cost - found[0][0]) < ADDED and match.shrink > _TAKEN
     ]

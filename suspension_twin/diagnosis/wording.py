@@ -7,8 +7,10 @@ parameters is put into words by the effect itself (``Effect.finding``).
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Final
 
 from suspension_twin.effects.base import Parameter, listed
@@ -43,26 +45,11 @@ __all__ = [
 Document = Mapping[str, Any]
 
 NOTHING, UNKNOWN = "nothing is wrong", "something that is not in the library"
-#: Calibrated language for probabilities (IPCC, Guidance Note on Consistent Treatment of Uncertainties, 2010).
-_LIKELY: Final = (
-    (0.99, "virtually certain"),
-    (0.95, "extremely likely"),
-    (0.9, "very likely"),
-    (0.66, "likely"),
-    (0.5, "more likely than not"),
-    (0.33, "about as likely as not"),
-    (0.0, "unlikely"),
-)
-
-#: Parameters whose names say little.
-_PLAIN: Final = {
-    "corner": "wheel",
-    "station": "road wheel",
-    "x": "forward",
-    "y": "to the left",
-    "z": "up",
-    "sigma": "length of smoothing",
-}
+_WORDS: Final = json.loads(Path(__file__).with_name("wording.json").read_text(encoding="utf-8"))
+#: Calibrated language for probabilities (IPCC, Guidance Note on Consistent Treatment of Uncertainties, 2010), and words
+#: for parameters whose names say little.
+_LIKELY: Final[list[tuple[float, str]]] = _WORDS["likely"]
+_PLAIN: Final[Mapping[str, str]] = _WORDS["parameters"]
 
 
 def capital(text: str) -> str:

@@ -32,11 +32,20 @@ from suspension_twin.compiled import compiled
 from suspension_twin.errors import WorkError
 from suspension_twin.inference.objectives import Measured, Objective
 
-__all__ = ["NEAR_FLOOR", "USUAL_SHARE", "ScaledObjective", "Whitener", "autoregression", "density", "shares"]
+__all__ = [
+    "NEAR_FLOOR",
+    "SEGMENT",
+    "USUAL_SHARE",
+    "ScaledObjective",
+    "Whitener",
+    "autoregression",
+    "density",
+    "shares",
+]
 
 #: Coefficients of a filter taken from a residual, and of one designed: their spectra agree within a decibel.
 ORDER, DESIGN_ORDER = 16, 24
-_SEGMENT = 256
+SEGMENT = 256  # samples of a segment of a spectrum
 #: Model discrepancy as a share of the motion, without a reference.
 USUAL_SHARE = 0.15
 _LEAST_SHARE, _MOST_SHARE = 0.02, 3.0
@@ -78,12 +87,12 @@ def density(values: Floats, segments: Sequence[slice], rate: float) -> Floats:
     """(F,) one-sided power density of one channel (M,) by Welch over ``segments``, smoothed over frequency."""
     from scipy import signal  # half a second of imports, which a calibration does not wait for
 
-    total, weight = np.zeros(_SEGMENT // 2 + 1), 0.0
+    total, weight = np.zeros(SEGMENT // 2 + 1), 0.0
     for s in segments:
         part = values[s]
         if part.size >= 32:
             _, power = signal.welch(
-                part, fs=rate, nperseg=min(_SEGMENT, part.size), nfft=_SEGMENT, detrend="linear"
+                part, fs=rate, nperseg=min(SEGMENT, part.size), nfft=SEGMENT, detrend="linear"
             )  # type: ignore[call-overload]
             total += power * part.size
             weight += part.size
@@ -94,7 +103,7 @@ def density(values: Floats, segments: Sequence[slice], rate: float) -> Floats:
 def shares(measured: Measured, residual: Floats, drives: Sequence[int]) -> Floats:
     """(C, F) amplitude of a residual (M, C) as a share of that of the motion, on the given drives."""
     own = [s for s, d in zip(measured.segments, measured.drives, strict=True) if d in drives]
-    out = np.empty((len(measured.channels), _SEGMENT // 2 + 1))
+    out = np.empty((len(measured.channels), SEGMENT // 2 + 1))
     for c in range(out.shape[0]):
         left, motion = (density(v[:, c], own, measured.rate) for v in (residual, measured.values))
         out[c] = np.clip(np.sqrt(left / motion), _LEAST_SHARE, _MOST_SHARE)

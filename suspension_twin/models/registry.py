@@ -3,8 +3,8 @@
 
 A model is a module ``suspension_twin/models/<name>.py`` with an object ``MODEL``, or one of an add-on or an installed
 package that its entry point in the group ``suspension_twin.models`` names; that one also has ``TWIN``, the class of its
-twin file (:data:`suspension_twin.vehicle.twin.SCHEMAS`). Whatever handles a twin (calibration, diagnosis, the nodes, the command
-line) asks the registry for its model and never for the model's name.
+twin file (:data:`suspension_twin.vehicle.twin.SCHEMAS`). Whatever handles a twin (calibration, diagnosis, nodes, the
+command line) asks the registry for its model and never for the model's name.
 """
 
 from __future__ import annotations

@@ -13,8 +13,7 @@ from suspension_twin.diagnosis.library import library
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.diagnosis.tone_search import tone_peaks, tone_starts
 from suspension_twin.effects.registry import EFFECTS
-from suspension_twin.inference.fit import refit
-from suspension_twin.inference.hypothesis import BASELINE
+from suspension_twin.inference.fit import linearised_fit, refit
 from suspension_twin.inference.problem import Problem, whitener_of
 
 #: Truth, and how far the start of a search may be from it.
@@ -45,8 +44,8 @@ def test_the_strongest_tone_is_a_start(toned: tuple[str, Problem]) -> None:
     name, problem = toned
     (truth, near), effect = CASES[name], name.partition(",")[0]
     x, cost = refit(problem, [problem.prior.centre], None, 5)
-    residual, _ = problem.residuals(x[:, None])
-    base = type("Base", (), {"x": x, "hypothesis": BASELINE})()
+    base = linearised_fit(problem, x)
+    residual = base.at.residual
     hypotheses = library(problem.twin, True, drives=2)[effect]
     right = [
         h
@@ -54,8 +53,8 @@ def test_the_strongest_tone_is_a_start(toned: tuple[str, Problem]) -> None:
         if dict(h.fixed).get(f"effects.{effect}.corner", 2.0) == truth.get("corner", 2.0)
     ]
     (hypothesis,) = right
-    peaks = tone_peaks(problem, residual[:, 0], EFFECTS[effect], hypothesis.corner(effect))
-    starts = tone_starts(problem, base, residual[:, 0], hypothesis, effect, peaks)
+    peaks = tone_peaks(problem, residual, EFFECTS[effect], hypothesis.corner(effect))
+    starts = tone_starts(problem, base, hypothesis, effect, peaks)
     assert 0.5 * (cost - problem.having(hypothesis).costs(starts[0][:, None])[0]) > 20.0  # nats
     found = dict(
         zip(hypothesis.keys, hypothesis.values(starts[0][problem.shared :, None])[:, 0], strict=True)
@@ -66,7 +65,7 @@ def test_the_strongest_tone_is_a_start(toned: tuple[str, Problem]) -> None:
         off = (off + np.pi) % (2 * np.pi) - np.pi if name == "phase" else off
         assert abs(off) < near[name], (key, value)
     # another effect is no tone
-    assert not tone_peaks(problem, residual[:, 0], EFFECTS["strut_friction"])
+    assert not tone_peaks(problem, residual, EFFECTS["strut_friction"])
 
 
 def test_each_drive_has_a_phase_of_its_own(toned: tuple[str, Problem]) -> None:

@@ -51,7 +51,8 @@ def set_by(module: Path) -> dict[tuple[str, str], tuple[str, int]]:
 
 def in_the_code(repository: Path) -> dict[tuple[str, str], tuple[str, int]]:
     found: dict[tuple[str, str], tuple[str, int]] = {}
-    for module in sorted((repository / "suspension_twin" / "diagnosis").glob("*.py")):
+    package = repository / "suspension_twin"
+    for module in (*sorted((package / "diagnosis").glob("*.py")), package / "addons" / "plan" / "plan.py"):
         found |= set_by(module)
     for name in FITTING:
         found |= set_by(repository / "suspension_twin" / "inference" / f"{name}.py")

@@ -7,7 +7,7 @@ from typing import Final
 
 from suspension_twin.cli.main import Subcommand
 
-__all__ = ["CONNECT", "EXPORT", "FIRST_DRIVE", "FLEET", "RECORD"]
+__all__ = ["CONNECT", "EXPORT", "FIRST_DRIVE", "FLEET", "PLAN", "RECORD"]
 
 FIRST_DRIVE: Final = Subcommand(
     "first-drive", f"{__name__}.first_drive", "From a live source to a calibrated twin, step by step."
@@ -23,3 +23,6 @@ RECORD: Final = Subcommand(
 )
 FLEET: Final = Subcommand("fleet", f"{__name__}.fleet", "Many vehicles and drives, calibrated over Dask.")
 EXPORT: Final = Subcommand("export", f"{__name__}.export", "A twin in the files of other simulators.")
+PLAN: Final = Subcommand(
+    "plan", f"{__name__}.plan", "Which effects this set-up could show, and never tell apart."
+)

@@ -17,10 +17,10 @@ from other_car import STIFFNESS, fmu_section, linear_car, other_car, vehicle_of
 from scipy.signal import lsim
 
 from suspension_twin.addons.export.registry import ExportSettings, export_twin
+from suspension_twin.addons.plan.plan import plan
 from suspension_twin.addons.roads.drives.drives import road_from_drives
 from suspension_twin.calibration.request import CalibrationRequest
 from suspension_twin.calibration.run import calibrate
-from suspension_twin.diagnosis.plan import plan
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.write import write_drive
 from suspension_twin.errors import InputError, WorkError

@@ -45,9 +45,9 @@ def command(
     alike, and what would separate them. Writes DIR/plan.json and DIR/plan.html.
     """
     outputs = Outputs(out / "plan.json", out / "plan.html", force=force)
+    from suspension_twin.addons.plan.page import plan_page, size_text
+    from suspension_twin.addons.plan.plan import SPEEDS, plan
     from suspension_twin.diagnosis import wording
-    from suspension_twin.diagnosis.plan import SPEEDS, plan
-    from suspension_twin.report.plan import plan_page, size_text
     from suspension_twin.road import load_road
     from suspension_twin.vehicle.twin import load_twin
 
@@ -67,7 +67,7 @@ def command(
             size_text(s, s.typical),
             "" if s.size is None else wording.channel_name(s.channel),
         )
-        for s in found.shown
+        for s in found.detectability
     ]
     columns = "fault", "quantity", "shows from", "typical", "first in"
     words = "fault", "quantity", "first in"

@@ -21,23 +21,20 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from suspension_twin.addons.plan.sensitivity import Change, Products, products
 from suspension_twin.arrays import Floats
-from suspension_twin.diagnosis.case import Case
-from suspension_twin.diagnosis.judge import Candidate, Judged
 from suspension_twin.diagnosis.library import library
-from suspension_twin.diagnosis.sensitivity import Change, Products, planned_drive, products
-from suspension_twin.diagnosis.wording import capital, effect_name
+from suspension_twin.diagnosis.next_experiment import manoeuvres, planned_drive
 from suspension_twin.effects.base import Parameter
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.errors import InputError, SuspensionTwinError
 from suspension_twin.files import Json, write_text
-from suspension_twin.inference.fit import twin_of
 from suspension_twin.inference.hypothesis import Hypothesis
-from suspension_twin.inference.noise import USUAL_SHARE
 from suspension_twin.inference.observation import Observation, road_of
 from suspension_twin.inference.parallel import side_by_side
+from suspension_twin.inference.problem import REACH
 from suspension_twin.models.registry import model_of
-from suspension_twin.road import Road, add_bump, bump_road, half_sine
+from suspension_twin.road import Road
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = [
@@ -50,24 +47,20 @@ __all__ = [
     "Ray",
     "Rival",
     "alternatives",
-    "next_experiment",
     "plan",
     "rays",
-    "separating_drive",
 ]
 
+_MENU: Final = json.loads(Path(__file__).with_name("plan.json").read_text(encoding="utf-8"))
 #: km/h if none are given.
-SPEEDS: Final = (20.0, 40.0)
-#: Expected residuals from which on an effect is named, and that a rival has to leave: learnt by
-#: benchmarks/plan_confusion.py on diagnoses of the blind benchmark, whose floors are about twice these units.
-DETECTABLE: Final = 0.5
-APART: Final = 0.25
+SPEEDS: Final[tuple[float, ...]] = tuple(_MENU["speeds_kmh"])
+#: Expected residuals from which on an effect is named, and that a rival has to leave.
+DETECTABLE: Final[float] = _MENU["thresholds"]["detectable"]
+APART: Final[float] = _MENU["thresholds"]["apart"]
 #: Sizes of an effect, in the scale of its prior; the last is its largest plausible size.
-_SIZES: Final = (0.1, 0.2, 0.45, 1.0, 3.0)
+_SIZES: Final = (0.1, 0.2, 0.45, 1.0, REACH)
 #: The same of a logarithmic one, in standard deviations from typical, weak to strong.
-_LOG_SIZES: Final = np.arange(-3.0, 3.0)
-#: km/h that are tried where a pair cannot be told apart.
-_OTHER_SPEEDS: Final = (10.0, 30.0, 60.0)
+_LOG_SIZES: Final = np.arange(-REACH, REACH)
 #: e-folds of size by which a change of the set-up has to be better than another to be named instead.
 _BETTER: Final = 0.1
 #: Frequencies of a resonance, in standard deviations from typical; that many neighbours make one rival.
@@ -170,7 +163,7 @@ class Plan:
         km/h of the drives.
     seconds : tuple of float
         Their lengths.
-    shown : tuple of Detectability
+    detectability : tuple of Detectability
         A row for every parameter of every effect.
     effects : tuple of str
         Ids of the effects, in the order of ``angles``.
@@ -184,7 +177,7 @@ class Plan:
     --------
     >>> from suspension_twin.vehicle.twin import load_twin
     >>> found = plan(load_twin("bags/bump_15kmh/twin.yaml"), speeds=(15.0,), effects=("sensor_scale",))
-    >>> [row.channel for row in found.shown]
+    >>> [row.channel for row in found.detectability]
     ['vertical_acceleration']
     """
 
@@ -192,7 +185,7 @@ class Plan:
     road: str
     speeds: tuple[float, ...]
     seconds: tuple[float, ...]
-    shown: tuple[Detectability, ...]
+    detectability: tuple[Detectability, ...]
     effects: tuple[str, ...]
     angles: Floats
     pairs: tuple[Pair, ...]
@@ -205,7 +198,7 @@ class Plan:
             "road": self.road,
             "drives": [{"speed_kmh": kmh, "seconds": round(s, 2)} for kmh, s in drives],
             "thresholds": {"detectable": DETECTABLE, "apart": APART, "unit": "expected residual, rms"},
-            "effects": [self._row(row) for row in self.shown],
+            "effects": [self._row(row) for row in self.detectability],
             "pairs": [
                 {k: v for k, v in (asdict(pair) | {"shown": self._row(pair.shown)}).items() if k != "ray"}
                 for pair in self.pairs
@@ -450,7 +443,7 @@ def plan(
     >>> from suspension_twin.vehicle.twin import load_twin
     >>> twin = load_twin("bags/bump_15kmh/twin.yaml")
     >>> found = plan(twin, speeds=(15.0,), effects=("sensor_offset",))
-    >>> [row.parameter for row in found.shown if row.size is None]  # over a bump as wide as the road
+    >>> [row.parameter for row in found.detectability if row.size is None]  # over a bump as wide as the road
     ['y', 'z']
     """
     if model_of(twin).recordings != "drive":
@@ -636,12 +629,12 @@ def _options(twin: Twin, road: Road, drives: Sequence[Observation], speeds: Sequ
     given = [float(d.along.max()) * 3.6 for d in drives]
     options = [
         _Option(f"one more drive at {kmh:g} km/h", twin, ((road, kmh, f"{kmh:g} km/h more"),), True)
-        for kmh in _OTHER_SPEEDS
+        for kmh in _MENU["other_speeds_kmh"]
         if all(not 0.75 < kmh / v < 1.33 for v in given)
     ]
     options += [
         _Option(f"{name} at {kmh:g} km/h", twin, ((obstacle, kmh, name),), True)
-        for name, obstacle, kmh in _manoeuvres()[:3]
+        for name, obstacle, kmh in manoeuvres(planned=True)
     ]
     x, _, z = twin.imu.position
     front, rear = (float(f(twin.vehicle.wheel_positions[:, 0])) for f in (np.max, np.min))
@@ -681,83 +674,3 @@ def _remedied(
             if size is not None and (least is None or rank(size) < rank(least) - _BETTER):
                 best[n] = replace(pair, remedy=option.name, remedy_size=size)
     return best
-
-
-def _manoeuvres() -> list[tuple[str, Road, float]]:
-    """Obstacles with the speed over each in km/h; short, without a test track. The first three are those of a plan."""
-
-    def bumped(length: float, height: float) -> Road:
-        return bump_road(half_sine(length, height), at=30.0, length=70.0)
-
-    bump = bumped(0.9, 0.07)
-    left = add_bump(bumped(0.9, 1e-6), half_sine(0.9, 0.06), 40.0, v_low=0.1)
-    ripples = bump_road(half_sine(2.0, 0.004), at=[20.0 + 6.0 * i for i in range(7)], length=70.0)
-    return [
-        ("a speed bump (7 cm high, 0.9 m long)", bump, 20.0),
-        ("a sharp edge (3 cm high, 0.25 m long)", bumped(0.25, 0.03), 30.0),
-        ("a bump under the left wheels only", left, 20.0),
-        ("a speed bump (7 cm high, 0.9 m long)", bump, 10.0),
-        ("a speed bump (7 cm high, 0.9 m long)", bump, 40.0),
-        ("a long wave (8 cm high, 6 m long)", bumped(6.0, 0.08), 40.0),
-        ("a pothole (6 cm deep, 0.7 m long)", bumped(0.7, -0.06), 30.0),
-        ("a smooth road (ripples of 4 mm)", ripples, 40.0),
-    ]
-
-
-# -- the next drive of a diagnosis -------------------------------------------------------------------
-
-
-def separating_drive(
-    first: Twin, second: Twin, noise: dict[str, float], share: float
-) -> tuple[float, str] | None:
-    """The manoeuvre on which two twins differ most, with the expected log likelihood ratio in nats; None where none can
-    be simulated.
-
-    0.5 n_eff / n sum((y_1 - y_2)^2 / (sigma^2 + (``share`` s)^2)) over the channels, with the ``noise`` sigma and the
-    model discrepancy, a ``share`` of the rms s of the motion.
-    """
-
-    def separation(manoeuvre: tuple[str, Road, float]) -> tuple[float, str] | None:
-        name, road, kmh = manoeuvre
-        try:
-            one, other = (
-                planned_drive(twin.model_copy(update={"road": None}), road, kmh) for twin in (first, second)
-            )
-        except SuspensionTwinError:
-            return None
-        total = 0.0
-        for channel, values in one.measured.items():
-            sigma = noise.get(channel, one.noise_rms[channel])
-            variance = sigma**2 + (share * float(np.std(values[one.mask]))) ** 2
-            total += float(np.sum((values - other.measured[channel])[one.mask] ** 2)) / variance
-        return float(total * one.bandwidth / one.rate), f"{name} at {kmh:g} km/h"
-
-    return max((found for found in map(separation, _manoeuvres()) if found is not None), default=None)
-
-
-def next_experiment(case: Case, tied: Sequence[Candidate], answer: str, judged: Judged) -> str:
-    """One sentence: the manoeuvre that separates the ``tied`` candidates of a diagnosis, and the expected gain."""
-    if len(tied) < 2:
-        return "None is needed to separate candidates."
-    effects = [c.effects[0] for c in tied[:2]]
-    pair = " from ".join(effect_name(e) for e in effects)
-    if case.kind == "run":
-        return f"Repeat the run with another excitation to separate {pair}."
-    tap = "mount_resonance" in effects
-    tail = " A tap on the phone holder at standstill excites the mount resonance alone." if tap else ""
-    first, second = (twin_of(judged.problem, c.found.fit) for c in tied[:2])
-    found = separating_drive(first, second, judged.noise, max(judged.reference or USUAL_SHARE, 0.05))
-    if found is None:
-        return f"No manoeuvre of the menu can be simulated to separate {pair}.{tail}"
-    nats, name = found
-    if nats < 1.0:
-        shows = " ".join(
-            f"{capital(effect_name(e))} shows in: {', '.join(EFFECTS[e].excited_by)}." for e in effects
-        )
-        return f"No manoeuvre of those that were simulated would separate {pair}. {shows}{tail}"
-    why = " if there is a gap at all" if answer == "no_gap" else ""
-    if nats > np.log(1000.0):
-        worth = "settle it"
-    else:
-        worth = f"make the right one {np.exp(nats):.0f} times as likely as the other"
-    return f"Drive {name}: it separates {pair} best{why}; one pass should {worth}.{tail}"

@@ -18,31 +18,16 @@ from scipy.linalg import block_diag
 
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.case import drive_problem
-from suspension_twin.errors import InputError
 from suspension_twin.inference.gap import CHANNELS
 from suspension_twin.inference.gauss_newton import bounded_step
 from suspension_twin.inference.hypothesis import Hypothesis
 from suspension_twin.inference.noise import USUAL_SHARE, Whitener
 from suspension_twin.inference.nuisance import OF_A_DRIVE, map_spread
-from suspension_twin.inference.observation import PLANAR, VERTICAL, Grid, Observation, Usage
+from suspension_twin.inference.observation import PLANAR, Observation
 from suspension_twin.inference.problem import REACH, STEP, Data, Problem, Simulation, whitener_of
-from suspension_twin.inference.synthetic import SensorErrors, path_along
-from suspension_twin.models.excitation import excitation
-from suspension_twin.models.parameters import pack
-from suspension_twin.models.simulate import simulate_lanes
-from suspension_twin.road.road import Road
-from suspension_twin.signals.conditioner import Conditioner
-from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["Change", "Products", "planned_drive", "products"]
-
-#: Of the virtual sensor: those of a phone and an RTK receiver.
-SENSOR = SensorErrors()
-#: s of a drive at most; m/s below which nothing is compared; m between a wheel and an end of the road.
-LONGEST, _SLOWEST, _MARGIN = 40.0, 0.8, 0.5
-#: m/s² of a calm driver (Bae, Moon and Seo, Electronics 8, 2019: comfortable up to 2 m/s²).
-_ACCELERATION, _BRAKING = 1.5, 2.0
+__all__ = ["Change", "Products", "products"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,100 +42,6 @@ class Change:
         """Those of its points whose columns have one of the ``names``."""
         kept = [i for i, name in enumerate(self.names) if name in names]
         return Change(self.hypothesis, self.points[:, kept], tuple(self.names[i] for i in kept))
-
-
-def planned_drive(twin: Twin, road: Road, kmh: float, name: str = "") -> Observation:
-    """A drive along the middle of a road at a constant speed, from its start.
-
-    Where a quarter of the road is enough for it, the vehicle starts from standing, and so it stops; else it enters and
-    leaves at speed.
-
-    Parameters
-    ----------
-    twin : Twin
-        The vehicle, its sensor and its effects.
-    road : Road
-        The road.
-    kmh : float
-        Speed in km/h.
-    name : str
-        Of the drive.
-
-    Returns
-    -------
-    Observation
-        At the rate of the sensor, 40 s of it at most.
-
-    Raises
-    ------
-    InputError
-        The road is shorter than the vehicle, or the speed cannot be driven.
-
-    Examples
-    --------
-    >>> from suspension_twin.road import bump_road, half_sine
-    >>> from suspension_twin.vehicle.twin import load_twin
-    >>> road = bump_road(half_sine(0.9, 0.05), at=20.0, length=60.0)
-    >>> drive = planned_drive(load_twin("bags/bump_15kmh/twin.yaml"), road, 20.0)
-    >>> round(float(drive.along.max()), 1)
-    5.6
-    """
-    if not 1.0 <= kmh <= 300.0:
-        raise InputError("speed", f"must be between 1 and 300 km/h, is {kmh:g}")
-    v, wheels = kmh / 3.6, twin.vehicle.wheel_positions[:, 0]
-    start = road.u_first + _MARGIN - float(wheels.min())
-    length = road.u_last - _MARGIN - float(wheels.max()) - start
-    if length < float(np.ptp(wheels)):
-        raise InputError("road", f"{road.length:.1f} m of it are too short to drive on")
-    knots = _knots(v, length)
-    t = np.arange(0.0, min(knots[-1][0], LONGEST), 1.0 / SENSOR.imu_rate)
-    path = path_along(road, t, knots, start)
-    driven = excitation(path, twin.vehicle, road)
-    spec = FilterSpec()
-    conditioner = Conditioner.for_stamps(t, spec, zero_phase=True)
-    response = simulate_lanes(twin, pack(twin)[:, None], driven, fused=True)
-    if response.failed[0]:
-        raise InputError(
-            "twin", f"cannot be simulated on this road at {kmh:g} km/h: it diverges or cannot stand"
-        )
-    signals = conditioner.apply(response.stacked(CHANNELS))[:, :, 0]
-    signals[:, 0] -= signals[:, 0].mean()
-    grid = conditioner.grid
-    speed = np.interp(grid, t, path.speed)
-    passed = np.sqrt(min(1.0, 2.0 * spec.cutoff / conditioner.rate))
-    noise = {c: passed * (SENSOR.force if c.endswith("acceleration") else SENSOR.rate) for c in CHANNELS}
-    grid_path = Grid(
-        grid,
-        conditioner.rate,
-        spec.cutoff,
-        conditioner.apply,
-        np.interp(grid, t, road.xy_to_uv(path.x, path.y)[0]),
-        speed,
-        np.asarray(conditioner.valid & (speed > _SLOWEST)),
-        SENSOR.position,
-    )
-    block = np.zeros(grid.size, dtype=np.intp)  # nothing is held out of a plan
-    return Observation(
-        name or f"{kmh:g} km/h",
-        grid_path,
-        driven,
-        {c: signals[:, i] for i, c in enumerate(CHANNELS)},
-        noise,
-        Usage(CHANNELS, VERTICAL, OF_A_DRIVE, block, fused=True),
-    )
-
-
-def _knots(v: float, length: float) -> list[tuple[float, float]]:
-    """Knots (s, m/s) of a drive at ``v`` m/s over ``length`` m."""
-    # knots are joined by cubics, whose largest slope is 1.5 times the mean one
-    up, down = 1.5 * v / _ACCELERATION, 1.5 * v / _BRAKING
-    up, down = (s if 0.5 * v * s <= 0.25 * length else 0.0 for s in (up, down))
-    knots = [(0.0, 0.0), (1.0, 0.0), (1.0 + up, v)] if up else [(0.0, v)]
-    knots.append((knots[-1][0] + length / v - 0.5 * (up + down), v))
-    if down:
-        end = knots[-1][0] + down
-        knots += [(end, 0.0), (end + 1.0, 0.0)]
-    return knots
 
 
 def planned_problem(twin: Twin, drive: Observation) -> Problem:

@@ -1,22 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Detectability by a set-up: projections against closed forms, physics that every engineer knows, the next drive."""
+"""Detectability by a set-up: projections against closed forms, physics that every engineer knows."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from suspension_twin.addons.plan.plan import plan, rays
+from suspension_twin.addons.plan.sensitivity import Products
 from suspension_twin.cli.main import main
 from suspension_twin.diagnosis.library import library
-from suspension_twin.diagnosis.plan import next_experiment, plan, rays, separating_drive
-from suspension_twin.diagnosis.sensitivity import Products, planned_drive
+from suspension_twin.diagnosis.next_experiment import planned_drive
 from suspension_twin.errors import InputError
 from suspension_twin.road import add_bump, bump_road, half_sine, write_road
-from suspension_twin.vehicle.twin import EffectSpec, load_twin, save_twin
+from suspension_twin.vehicle.twin import load_twin, save_twin
 
 
 def across(height=0.06):
@@ -93,15 +93,6 @@ def test_a_low_pass_grows_as_its_cutoff_falls(mondeo):
     assert cutoff.rank(5.0) > cutoff.rank(10.0)
 
 
-def test_a_drive_stays_on_the_road_at_its_speed(mondeo):
-    road = across()
-    drive = planned_drive(mondeo, road, 9.0)
-    assert drive.along.max() == pytest.approx(2.5, rel=1e-3)
-    assert drive.along[0] == 0.0 and drive.along[-1] < 0.1  # it stands at both ends
-    assert road.u_first < drive.position.min() and drive.position.max() + 2.85 < road.u_last
-    assert planned_drive(mondeo, road, 72.0).along.min() > 19.0  # too short a road to speed up on
-
-
 @pytest.fixture(scope="module")
 def clocks(mondeo):
     """Clock and map at one speed, and at three."""
@@ -125,7 +116,7 @@ def test_at_one_speed_a_late_clock_is_a_shifted_map_and_other_speeds_separate_th
 
 
 def test_a_clock_offset_shows_beyond_the_range_of_the_nuisance(clocks):
-    size = next(s.size for s in clocks[1].shown if s.effect == "time_offset")
+    size = next(s.size for s in clocks[1].detectability if s.effect == "time_offset")
     assert 0.006 < size < 0.03  # three standard deviations of the nuisance, and a good deal less than typical
 
 
@@ -133,7 +124,7 @@ def test_effects_of_roll_show_on_a_one_sided_bump_alone(mondeo):
     only = ("sensor_offset", "anti_roll_bar")
     flat, lopsided = (plan(mondeo, road, (20.0,), only) for road in (across(), one_sided()))
     for found, wanted in ((flat, False), (lopsided, True)):
-        seen = {(s.effect, s.parameter): s for s in found.shown}
+        seen = {(s.effect, s.parameter): s for s in found.detectability}
         assert (seen["sensor_offset", "y"].size is not None) == wanted
         assert (seen["anti_roll_bar", "front_stiffness"].ratio > 0.1) == wanted
         assert seen["sensor_offset", "x"].size is not None
@@ -143,57 +134,16 @@ def test_effects_of_roll_show_on_a_one_sided_bump_alone(mondeo):
 def test_a_higher_bump_shows_a_smaller_fault_until_model_discrepancy_dominates(mondeo):
     """The response to the fault and the model discrepancy grow with the bump, the noise does not."""
     sizes = [
-        next(s.size for s in plan(mondeo, across(h), (20.0,), ("sensor_offset",)).shown if s.parameter == "x")
+        next(
+            s.size
+            for s in plan(mondeo, across(h), (20.0,), ("sensor_offset",)).detectability
+            if s.parameter == "x"
+        )
         for h in (0.006, 0.024, 0.096)
     ]
     gains = sizes[0] / sizes[1], sizes[1] / sizes[2]
     assert gains[0] > 1.5
     assert 1.0 < gains[1] < 0.7 * gains[0]
-
-
-def with_effect(twin, name, **parameters):
-    return twin.model_copy(update={"effects": (EffectSpec(id=name, parameters=parameters),)})
-
-
-def test_the_drive_that_separates_two_twins_is_the_one_on_which_they_differ_most(mondeo):
-    assert separating_drive(mondeo, mondeo, {}, 0.15)[0] == 0.0
-    stiff = with_effect(mondeo, "anti_roll_bar", front_stiffness=2e4, rear_stiffness=2e4)
-    nats, name = separating_drive(mondeo, stiff, {}, 0.15)
-    assert nats > 10.0 and name == "a bump under the left wheels only at 20 km/h"
-    noisy, _ = separating_drive(mondeo, stiff, {"roll_rate": 1e3}, 0.15)
-    assert noisy < nats
-
-
-def candidates(*effects):
-    return [SimpleNamespace(effects=(e,), found=SimpleNamespace(fit=None)) for e in effects]
-
-
-def test_a_next_drive_is_proposed_only_where_two_candidates_are_left():
-    road, run = SimpleNamespace(kind="road"), SimpleNamespace(kind="run")
-    assert next_experiment(road, candidates("payload"), "effect", None) == (
-        "None is needed to separate candidates."
-    )
-    assert next_experiment(run, candidates("payload", "spring_sag"), "unknown", None).startswith(
-        "Repeat the run with another excitation to separate unlisted payload from "
-    )
-
-
-@pytest.mark.parametrize(
-    ("nats", "says"),
-    [
-        (9.0, "Drive a bump: it separates clock offset from clock drift best; one pass should settle it."),
-        (2.0, "one pass should make the right one 7 times as likely as the other."),
-        (0.5, "Clock drift shows in: long drives, bumps early and late."),
-    ],
-)
-def test_the_next_drive_says_how_much_it_is_worth(nats, says, monkeypatch):
-    import suspension_twin.diagnosis.plan as module
-
-    monkeypatch.setattr(module, "twin_of", lambda problem, fit: None)
-    monkeypatch.setattr(module, "separating_drive", lambda *_: (nats, "a bump"))
-    judged = SimpleNamespace(problem=None, noise={}, reference=None)
-    road = SimpleNamespace(kind="road")
-    assert says in next_experiment(road, candidates("time_offset", "clock_drift"), "unknown", judged)
 
 
 def test_inputs_that_cannot_be_planned_are_one_line(mondeo, repository):
@@ -208,7 +158,7 @@ def test_inputs_that_cannot_be_planned_are_one_line(mondeo, repository):
 
 
 def test_the_command_writes_a_document_and_a_page(mondeo, tmp_path, capsys, monkeypatch):
-    import suspension_twin.diagnosis.plan as module
+    import suspension_twin.addons.plan.plan as module
 
     whole = module.library
     few = ("time_offset", "position_offset", "corner_damper")

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
+from suspension_twin.addons.plan.plan import APART, DETECTABLE, Detectability, Pair, Plan
 from suspension_twin.diagnosis import wording
-from suspension_twin.diagnosis.plan import APART, DETECTABLE, Detectability, Pair, Plan
 from suspension_twin.report import style
 from suspension_twin.report.page import Cell, Lead, Mark, Page, Section, Table
 from suspension_twin.report.style import COLOURS
@@ -28,7 +28,7 @@ def plan_page(plan: Plan) -> Page:
     Parameters
     ----------
     plan : Plan
-        Result of :func:`~suspension_twin.diagnosis.plan.plan`.
+        Result of :func:`~suspension_twin.addons.plan.plan.plan`.
 
     Returns
     -------
@@ -43,8 +43,8 @@ def plan_page(plan: Plan) -> Page:
     drives = wording.listed([f"{kmh:g} km/h" for kmh in plan.speeds])
     name = getattr(plan.twin.vehicle, "name", "") or "the vehicle"
     page = Page("What these drives could show", f"{name}, {plan.road} at {drives}")
-    hidden = [s for s in plan.shown if s.size is None]
-    seen = len(plan.shown) - len(hidden)
+    hidden = [s for s in plan.detectability if s.size is None]
+    seen = len(plan.detectability) - len(hidden)
     remarks = []
     if hidden:
         names = list(dict.fromkeys(wording.effect_name(s.effect) for s in hidden))
@@ -57,8 +57,8 @@ def plan_page(plan: Plan) -> Page:
     if never:
         remarks.append(f"Never told apart: {'; '.join(never)}.")
     page.lead = Lead(
-        f"{seen} of {len(plan.shown)} faults would show; {len(plan.pairs)} pairs of causes are easily taken for each "
-        "other.",
+        f"{seen} of {len(plan.detectability)} faults would show; {len(plan.pairs)} pairs of causes are easily taken "
+        "for each other.",
         remarks,
     )
     page.add(
@@ -66,7 +66,7 @@ def plan_page(plan: Plan) -> Page:
             "From which size on",
             "The smallest size that a diagnosis would name, beside the typical size of the fault. Left of the line, "
             "less than a typical fault is enough.",
-            sizes_picture(plan.shown),
+            sizes_picture(plan.detectability),
         )
     )
     page.add(_pairs(plan))
@@ -79,7 +79,7 @@ def plan_page(plan: Plan) -> Page:
         )
     )
     columns = ("fault", "quantity", "shows from", "typical", "first in")
-    page.add(Section("Every size", "", Table(columns, [_row(s) for s in plan.shown]), folded=True))
+    page.add(Section("Every size", "", Table(columns, [_row(s) for s in plan.detectability]), folded=True))
     page.add(_method(plan))
     return page
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from suspension_twin.diagnosis.plan import Detectability, Pair, Plan
-from suspension_twin.report.plan import plan_page, size_text
+from suspension_twin.addons.plan.page import plan_page, size_text
+from suspension_twin.addons.plan.plan import Detectability, Pair, Plan
 
 DAMPER = Detectability("corner_damper", "corner 0", "change", 0.12, 0.4, 1.2, 3.0, "roll_rate")
 CLOCK = Detectability("time_offset", "", "offset", 0.008, 0.05, 0.15, 5.0, "vertical_acceleration")
