@@ -134,7 +134,7 @@ def tone_starts(
     assert tone is not None
     rows = {key.split(".")[2]: i for i, key in enumerate(hypothesis.keys) if key.split(".")[1] == effect}
     strength, phases = rows[tone.strength], [i for name, i in rows.items() if name.startswith(tone.phase)]
-    spread, p = hypothesis.searched[strength][1].spread, problem.shared
+    spread, p = hypothesis.searched[strength][1].prior.spread, problem.shared
     kept = hypothesis.neutral()
     kept[: base.x.size - p] = base.x[p:]
     kept[strength] = hypothesis.coordinate(strength, spread)

@@ -126,8 +126,9 @@ def retable(w: Floats, h: float, curves: int, springs: int, hinges: int) -> None
     """Make the tables of the four corners for steps of ``h`` s, from DAMPER_SHARE and COMPLIANCE.
 
     ``curves`` is the first row of the corners' curves, with so many hinges of ``springs`` and so many ``hinges`` of
-    dampers. A mount of compliance C in series with the damper deflects by C (F - F') within a step, which is as if beta were C / h larger. The arithmetic is that of ``constants``, so that
-    a lane with neither keeps its table to the last bit.
+    dampers. A mount of compliance C in series with the damper deflects by C (F - F') within a step, which is as if beta
+    were C / h larger. The arithmetic is that of ``constants``, so that a lane with neither keeps its table to the last
+    bit.
     """
     points, stride = hinges + 1, 5 + 2 * springs + 4 * hinges
     for c in range(4):
