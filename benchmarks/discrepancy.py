@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a calibrated twin of a sound car leaves of drives that no fit has seen, and which part of the car takes of it.
 
-    python benchmarks/discrepancy.py [CASE] [--held-out NAME ...] [--json] [--quick]
+    python benchmarks/discrepancy.py [CASE] [--held-out NAME ...] [--json] [--smoke]
 
 CASE is a folder with ``twin.yaml``, a road and the drives of a car without a fault; by default that of an established
 multibody engine beside the measured data (``../shared/withheld/no_effect_added``, or SUSPENSION_TWIN_WITHHELD). The
@@ -11,7 +11,7 @@ measured minus simulated on the held-out drives as a share of the measured rms.
 
 Beside them stands what a linear model of the car leaves: FIR filters from the road under the four wheels to each
 channel, fitted on the same drives. What the last twin leaves is split by frequency, and by the time since the last
-bump. ``--quick`` fits on one drive and tries no further part.
+bump. ``--smoke`` fits on one drive and tries no further part.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 from scipy.signal import butter, sosfiltfilt
@@ -31,7 +32,7 @@ from scipy.signal import butter, sosfiltfilt
 from suspension_twin.api import calibrate, simulate
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.presets import refined
-from suspension_twin.inference.simulated import SimulatedDrive
+from suspension_twin.inference.gap import Comparison
 from suspension_twin.inference.space import curve_keys
 from suspension_twin.vehicle.corners import AXLES
 from suspension_twin.vehicle.twin import Twin, load_twin
@@ -59,38 +60,37 @@ def default_case() -> Path:
     return data / "no_effect_added"
 
 
-def share(result: SimulatedDrive, channel: str, keep: Floats | None = None) -> float:
+def share(result: Comparison, channel: str) -> float:
     """Rms of measured minus simulated over the measured rms."""
-    mask = result.observation.mask if keep is None else result.observation.mask & keep
+    mask = result.observation.mask
     measured = result.measured[channel][mask]
     left = measured - result.simulated[channel][mask]
     return float(np.sqrt(np.mean(left**2) / np.mean(measured**2)))
 
 
-def shares(results: Sequence[SimulatedDrive]) -> dict[str, float]:
+def shares(results: Sequence[Comparison]) -> dict[str, float]:
     """By channel, the mean over drives."""
     return {c: float(np.mean([share(r, c) for r in results])) for c in CHANNELS}
 
 
-def variants(twin: Twin, quick: bool) -> list[tuple[str, Twin, tuple[str, ...]]]:
+def variants(twin: Twin, smoke: bool) -> list[tuple[str, Twin, tuple[str, ...]]]:
     """Name, twin to start from, and what is free where it is not all that the twin has."""
     fine = refined(twin)
     curves = fine.with_changes({f"vehicle.{axle}.linkage": None for axle in AXLES})
-    own = lambda t: (*curve_keys(t), *INERTIAS)  # noqa: E731
-    out = [
-        ("springs of the file", twin, own(twin)),
-        ("fine springs", curves, own(curves)),
-        ("links", fine, ()),
+    out: list[tuple[str, Twin, tuple[str, ...]]] = [
+        (name, start, (*curve_keys(start), *INERTIAS))
+        for name, start in (("springs of the file", twin), ("fine springs", curves))
     ]
-    if not quick:
+    out.append(("links", fine, ()))
+    if not smoke:
         out += [(f"links, {name}", fine.with_changes(keys), ()) for name, keys in FURTHER.items()]
     return out
 
 
-def filters(results: Sequence[SimulatedDrive], held: Sequence[SimulatedDrive]) -> dict[str, float]:
+def filters(results: Sequence[Comparison], held: Sequence[Comparison]) -> dict[str, float]:
     """Share that FIR filters of the road, fitted on ``results``, leave of the ``held`` drives; ridge by their noise."""
 
-    def columns(r: SimulatedDrive) -> Floats:
+    def columns(r: Comparison) -> Floats:
         road = r.observation.road_excitation
         heights = road.road[road.first[1:] - 1]
         moved = [np.interp(r.t - lag, road.t, z) for z in heights.T for lag in LAGS]
@@ -113,21 +113,23 @@ def filters(results: Sequence[SimulatedDrive], held: Sequence[SimulatedDrive]) -
     return out
 
 
-def by_band(results: Sequence[SimulatedDrive], channel: str) -> list[tuple[float, float]]:
+def by_band(results: Sequence[Comparison], channel: str) -> list[tuple[float, float]]:
     """For each band its part of the residual's power, and the residual there over the motion there."""
     power = np.zeros((2, len(BANDS)))
     for r in results:
         mask = r.observation.mask
         for row, signal in enumerate((r.measured[channel] - r.simulated[channel], r.measured[channel])):
             for b, (low, high) in enumerate(BANDS):
-                kind = "lowpass" if low == 0 else "bandpass"
-                edge = high if low == 0 else [low, min(high, 0.49 * r.observation.rate)]
-                sos = butter(4, edge, kind, fs=r.observation.rate, output="sos")
+                rate = r.observation.rate
+                if low == 0:
+                    sos = butter(4, high, "lowpass", fs=rate, output="sos")
+                else:
+                    sos = butter(4, (low, min(high, 0.49 * rate)), "bandpass", fs=rate, output="sos")
                 power[row, b] += np.mean(sosfiltfilt(sos, signal)[mask] ** 2)
     return [(power[0, b] / power[0].sum(), np.sqrt(power[0, b] / power[1, b])) for b in range(len(BANDS))]
 
 
-def near_bumps(r: SimulatedDrive) -> Floats:
+def near_bumps(r: Comparison) -> NDArray[np.bool_]:
     """Samples at most ``AFTER`` s behind a bump under a front wheel."""
     road = r.observation.road_excitation
     heights = road.road[road.first[1:] - 1][:, :2]
@@ -139,11 +141,11 @@ def near_bumps(r: SimulatedDrive) -> Floats:
     return np.asarray((last >= 0) & (r.t - times[np.maximum(last, 0)] <= AFTER))
 
 
-def run(case: Path, held_out: Sequence[str], quick: bool, tell: Console) -> dict[str, object]:
+def run(case: Path, held_out: Sequence[str], smoke: bool, tell: Console) -> dict[str, dict[str, float]]:
     """All figures of one case."""
     twin = load_twin(case / "twin.yaml")
     names = sorted(p.parent.name for p in case.glob("*/metadata.yaml"))
-    fitted = [n for n in names if n not in held_out][: 1 if quick else None]
+    fitted = [n for n in names if n not in held_out][: 1 if smoke else None]
     if not fitted or not set(held_out) <= set(names):
         raise SystemExit(
             f"{case}: has the drives {', '.join(names)}: hold out some of them and fit on the others"
@@ -151,16 +153,17 @@ def run(case: Path, held_out: Sequence[str], quick: bool, tell: Console) -> dict
     table = Table(title=f"{case.name}: share of the motion of {', '.join(held_out)} that is left")
     for title in ("twin calibrated on " + ", ".join(fitted), *(c.replace("_", " ") for c in CHANNELS)):
         table.add_column(title)
-    document: dict[str, object] = {}
-    last: list[SimulatedDrive] = []
-    for name, start, free in variants(twin, quick):
+    document: dict[str, dict[str, float]] = {}
+    last: list[Comparison] = []
+    basis: list[Comparison] = []
+    for name, start, free in variants(twin, smoke):
         found = calibrate(start, [str(case / n) for n in fitted], free=free).twin
         results = [simulate(case / n, found) for n in held_out]
-        document[name] = row = shares(results)
+        row = document[name] = shares(results)
         table.add_row(name, *(f"{100 * row[c]:.1f} %" for c in CHANNELS))
         if name == "links":
             last, basis = results, [simulate(case / n, found) for n in fitted]
-    document["filters"] = row = filters(basis, last)
+    row = document["filters"] = filters(basis, last)
     table.add_row("linear filters of the road", *(f"{100 * row[c]:.1f} %" for c in CHANNELS))
     tell.print(table)
     bands = Table(
@@ -191,7 +194,7 @@ def main() -> None:
     parser.add_argument("case", nargs="?", type=Path, default=default_case())
     parser.add_argument("--held-out", nargs="+", default=["drive_fast", "drive_other"])
     parser.add_argument("--json", action="store_true")
-    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--smoke", action="store_true")
     given = parser.parse_args()
     if not (given.case / "twin.yaml").is_file():
         print(
@@ -199,7 +202,7 @@ def main() -> None:
         )
         raise SystemExit(2)
     tell = Console(stderr=given.json)
-    document = run(given.case, given.held_out, given.quick, tell)
+    document = run(given.case, given.held_out, given.smoke, tell)
     if given.json:
         print(json.dumps(document, indent=2))
 
