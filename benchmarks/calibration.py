@@ -91,11 +91,11 @@ def evaluations(folder: Path, seeds: Sequence[int]) -> dict[str, Any]:
                 "share": there[0][0] / paper.evaluations if there else None,
             }
         )
-    shares = [row["share"] for row in rows]
+    shares = [row["share"] for row in rows if row["share"] is not None]
     return {
-        "within_a_tenth": sum(s is not None and s <= 0.1 for s in shares),
+        "within_a_tenth": sum(s <= 0.1 for s in shares),
         "vehicles": len(rows),
-        "worst_share": max(shares) if all(s is not None for s in shares) else None,
+        "worst_share": max(shares) if len(shares) == len(rows) else None,
         "by_vehicle": rows,
     }
 
@@ -166,7 +166,7 @@ def accuracy(folder: Path, seeds: Sequence[int]) -> dict[str, Any]:
 def gap_on(bag: Path, twin: Twin, placed: Twin) -> float:
     """Gap in m/s² of a twin on a drive, on the road of ``placed``."""
     there = observe(read_drive(bag), twin.model_copy(update={"road": placed.road}))
-    return there.gap(there.condition(simulate_twin(twin, there.excitation))).rms
+    return there.gap(there.condition(simulate_twin(twin, there.road_excitation))).rms
 
 
 def force_error_along(result: CalibrationResult, truth: Twin, index: int) -> float:

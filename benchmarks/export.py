@@ -64,7 +64,7 @@ def compared(folder: Path) -> list[dict[str, Any]]:
     for drive in DRIVES:
         path = HERE.parent / "bags" / drive
         twin = load_twin(path / "twin.yaml")
-        driven = observe(read_drive(path), twin).excitation
+        driven = observe(read_drive(path), twin).road_excitation
         for name, one in variants(twin).items():
             wanted = columns(simulate_twin(one, driven))
             for version, walk in (("2.0", walk_2), ("3.0", walk_3)):

@@ -295,10 +295,10 @@ def run(
                         process.wait(120.0)
                     break
                 if kill_every and now >= next_kill:
-                    there = worker_processes(apart.workers.pid if apart else process.pid)
-                    if there:
+                    alive = worker_processes(apart.workers.pid if apart else process.pid)
+                    if alive:
                         with suppress(psutil.NoSuchProcess):
-                            chance.choice(there).send_signal(signal.SIGKILL)
+                            chance.choice(alive).send_signal(signal.SIGKILL)
                             kills += 1
                     next_kill = now + kill_every
                 if apart:

@@ -73,7 +73,7 @@ def measured(folder: Path, generations: int) -> dict[str, Any]:
     write_drive(drive, folder / "drive")
     twin = fmu_twin(car, file, STIFFNESS)
     prepared = observe(drive, car, road)
-    run = prepared.excitation
+    run = prepared.road_excitation
     wanted, found = simulate_twin(car, run), simulate_twin(twin, run)
     pairs = ((getattr(found, name), getattr(wanted, name)) for name in QUANTITIES)
     range_ = [float(np.abs(a - b).max() / max(np.ptp(b), 1e-2)) for a, b in pairs]

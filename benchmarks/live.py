@@ -404,7 +404,9 @@ def synthetic_hour(seconds: float, rate: float = 100.0) -> Any:
     turn = rng.normal(0.0, 0.002, (t.size, 3)) + np.array([0.0, 0.0, SPEED / radius])
     at = t[:: int(rate // 10)]
     angle = SPEED / radius * at
-    place = LocalMap(load_twin(twin_file()).datum).to_geodetic(
+    datum = load_twin(twin_file()).datum
+    assert datum is not None
+    place = LocalMap(datum).to_geodetic(
         np.column_stack([radius * np.sin(angle), radius * (1 - np.cos(angle)), np.zeros(at.size)])
     )
     velocity = SPEED * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(at.size)])

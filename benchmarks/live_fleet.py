@@ -19,6 +19,7 @@ import json
 import math
 import os
 import time
+from functools import partial
 from typing import Any
 
 os.environ.setdefault("ROS_DOMAIN_ID", "89")
@@ -39,11 +40,12 @@ class Driver:
     def __init__(self, namespaces: list[str]) -> None:
         import rclpy
         from geometry_msgs.msg import AccelStamped, TwistStamped
-        from rclpy.experimental import EventsExecutor
+        from rclpy.experimental.events_executor import EventsExecutor
+        from rclpy.utilities import get_default_context
         from sensor_msgs.msg import Imu, NavSatFix, NavSatStatus
 
         self.node = rclpy.create_node("driver")
-        self.executor = EventsExecutor(context=rclpy.get_default_context())
+        self.executor = EventsExecutor(context=get_default_context())
         self.executor.add_node(self.node)
         self.imu, self.fix, self.vel = Imu(), NavSatFix(), TwistStamped()
         self.imu.header.frame_id, self.fix.header.frame_id = "imu_link", "gps_link"
@@ -64,7 +66,7 @@ class Driver:
             self.node.create_subscription(
                 AccelStamped,
                 f"/{name}/twin/vertical_acceleration",
-                lambda message, number=number: self._on_answer(number, message),
+                partial(self._on_answer, number),
                 1000,
             )
 

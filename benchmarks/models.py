@@ -19,6 +19,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -170,7 +171,7 @@ def beside_mujoco(twin: Twin, scale: Scale) -> tuple[dict[str, float], list[tupl
         answer = simulate_twin(car, way).acceleration
         error = np.sqrt(np.mean((answer - exact[:: round(0.01 / fine)]) ** 2, axis=0))
         many = candidates(car, scale.lanes)
-        seconds = best(lambda m=many, w=way: simulate_lanes(car, m, w, 1, vertical_only=True), repeats)
+        seconds = best(partial(simulate_lanes, car, many, way, 1, vertical_only=True), repeats)
         rows.append(("full_car, batched", step, float((error / size).max()), scale.lanes * passed / seconds))
     return figures, rows
 

@@ -108,15 +108,15 @@ def compare(
 ) -> tuple[dict[str, Any], dict[str, Side], Floats]:
     """One drive under one twin: figures of every signal, the signals, and where along the road (n,) m."""
     prepared = observe(read_drive(folder / name), twin)
-    run = simulate_twin(twin, prepared.excitation)
+    run = simulate_twin(twin, prepared.road_excitation)
     # stamps are those of the IMU: what a stamp t shows happened at t - latency
-    at = truth.at(run.t - prepared.excitation.late - truth.start)
+    at = truth.at(run.t - prepared.road_excitation.late - truth.start)
     both = sides(at, truth, run)
     moving = at["v_fwd"] > MOVING
-    ends = prepared.excitation.first[1:] - 1
+    ends = prepared.road_excitation.first[1:] - 1
     under = np.stack([at[f"zr_{c}"] for c in CORNERS], axis=1)
     figures = {k: agreement(s, prepared.rate, moving) for k, s in both.items()}
-    off = float(np.std((prepared.excitation.road[ends] - under)[moving]))
+    off = float(np.std((prepared.road_excitation.road[ends] - under)[moving]))
     return {"signals": figures, "road_height_rms_off_m": off}, both, at["u"]
 
 

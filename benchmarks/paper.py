@@ -57,7 +57,7 @@ def validated(twin: Twin, drive: Any, place: Twin) -> tuple[Observation, dict[st
     there = observe(
         drive, twin.model_copy(update={k: getattr(place, k) for k in ("road", "imu", "gps", "datum")})
     )
-    simulated = there.condition(simulate_twin(there.twin, there.excitation))
+    simulated = there.condition(simulate_twin(there.twin, there.road_excitation))
     gap = there.gap(simulated)
     a, b = there.measured[CHANNEL][there.mask], simulated[CHANNEL][there.mask]
     power = float(np.mean((a - a.mean()) ** 2))

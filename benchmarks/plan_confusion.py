@@ -31,7 +31,7 @@ sys.path.insert(0, str(HERE))
 
 import numpy as np  # noqa: E402
 from blind.folder import faults_of, road_file, twin_file  # noqa: E402
-from blind.plan import Spec  # noqa: E402
+from blind.plan import Seeds, Spec  # noqa: E402
 from blind.plan import plan as cases  # noqa: E402
 from blind.world import World, make_world  # noqa: E402
 
@@ -41,7 +41,7 @@ from suspension_twin.diagnosis.library import library  # noqa: E402
 from suspension_twin.diagnosis.next_experiment import planned_drive  # noqa: E402
 from suspension_twin.vehicle.twin import EffectSpec, parse_twin  # noqa: E402
 
-SETS = ("report2", "report3")
+SETS: tuple[Seeds, ...] = ("report2", "report3")
 RESULT = HERE / "results" / "plan_confusion.json"
 #: Probability from which on a wrong cause counts as taken for the true one.
 TAKEN = 0.1

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 import time
 from collections.abc import Callable
@@ -80,7 +81,7 @@ class Corner:
     def damper(self, v: float) -> float:
         """Force in N against the extension speed ``v`` m/s."""
         slope = self.pull if v > 0.0 else self.push
-        return slope * v * (1 / 3 + 2 / 3 / np.sqrt(1.0 + (v / self.knee) ** 2))
+        return slope * v * (1 / 3 + 2 / 3 / math.sqrt(1.0 + (v / self.knee) ** 2))
 
 
 #: What the seed draws from, by the id of the effect in the twin file: how a corner gets it, from a severity of 0 to 1.

@@ -126,7 +126,7 @@ def judged(drive: Drive, twin: Twin, whole: Observation, pair: Pair, picture: Pa
     road = surface_of(found)
     begin = float(whole.t[0])
     second = observe(drive, twin, road).part(begin + b0 - MARGIN, begin + b1 + MARGIN)
-    simulated = second.condition(simulate_twin(twin, second.excitation))["vertical_acceleration"]
+    simulated = second.condition(simulate_twin(twin, second.road_excitation))["vertical_acceleration"]
     measured = second.measured["vertical_acceleration"]
     first = whole.part(begin + a0 - MARGIN, begin + a1 + MARGIN)
     # Places of both passes on the road's own line.

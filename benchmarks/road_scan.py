@@ -32,6 +32,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -66,7 +67,10 @@ from suspension_twin.vehicle.twin import load_twin  # noqa: E402
 Floats = NDArray[np.float64]
 
 BARS = {"beyond_mm": 1.5, "spike_mm": 5.0, "twin_percent": 5.0, "seconds": 60.0, "bytes": 2e9}
-SCANNERS = {"terrestrial": (terrestrial, 0.003), "mobile": (mobile, 0.004)}
+SCANNERS: dict[str, tuple[Callable[[Ground, int], Scan], float]] = {
+    "terrestrial": (terrestrial, 0.003),
+    "mobile": (mobile, 0.004),
+}
 SPEED = 30.0 / 3.6
 #: The command in a process that tells its largest memory at its end. (``getrusage`` counts its parent's before exec.)
 _MEASURED = """

@@ -32,8 +32,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from blind.faults import ROAD, SENSOR, TIME, Faults, misread
-from blind.phone import felt
+from blind.faults import ROAD, SENSOR, TIME, misread
+from blind.newton import Faults
+from blind.phone import Felt, felt
 from blind.world import G, Phone
 from multibody_truth import Truth, read_truth
 from rich.console import Console
@@ -90,15 +91,6 @@ class Seeded:
     reference: bool
     share: float = 0.0
     seed: int = 0
-
-
-@dataclass(frozen=True, eq=False)
-class _Motion:
-    """What ``blind.phone.felt`` takes of a motion."""
-
-    t: Floats
-    force: Floats
-    rate: Floats
 
 
 def faults_of(effect: str, amount: float, peak: float, rng: np.random.Generator) -> Faults:
@@ -216,7 +208,11 @@ def plan(seeds: str) -> list[Seeded]:
 
 
 def recorded(
-    drive: Drive, truth: Truth, twin_rpy: tuple[float, ...], faults: Faults, vehicle: Floats | float = 0.0
+    drive: Drive,
+    truth: Truth,
+    twin_rpy: tuple[float, float, float],
+    faults: Faults,
+    vehicle: Floats | float = 0.0,
 ) -> Drive:
     """The drive as a phone with these faults would have recorded it; ``vehicle`` (n, 6) is what the vehicle's own
     faults change of specific force and angular rate at the truth's times."""
@@ -244,8 +240,8 @@ def recorded(
         lost=0.0,
     )
     linear = {k: v for k, v in faults.items() if k in SENSOR and k != "sensor_clipping"}
-    clean = felt(_Motion(truth.t, force, rate), phone, {}, ideal=True)
-    faulty = felt(_Motion(truth.t, moved, rate), phone, linear, ideal=True)
+    clean = felt(Felt(truth.t, force, rate), phone, {}, ideal=True)
+    faulty = felt(Felt(truth.t, moved, rate), phone, linear, ideal=True)
     change = np.hstack([faulty.force - clean.force, faulty.rate - clean.rate]) + vehicle
     mount = Rotation.from_euler("xyz", twin_rpy)
     change = np.hstack([mount.apply(change[:, :3], inverse=True), mount.apply(change[:, 3:], inverse=True)])

@@ -19,6 +19,7 @@ import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -102,7 +103,7 @@ def refitted(drive: Drive, twin: Twin, road: Road) -> tuple[SimulatedDrive, np.n
     return best, x * STEPS
 
 
-def judged(case: Case, late: float) -> dict[str, object]:
+def judged(case: Case, late: float) -> dict[str, Any]:
     """One row of the table."""
     place, drive = load_twin(case.place), SensorCorrection(clock=-late).timed(read_drive(case.held_out))
     road = road_of(place)

@@ -197,8 +197,8 @@ def main() -> None:
     heads = "".join(f"{h:>8}" for h in ("real", "model", "gain", "corr.", "disp.", "sinks"))
     print(f"{'':18}{'km/h':>5}{heads}   (rms in units of the noise; mm)")
     for r in rows:
-        values = (r[k] for k in ("real", "model", "gain", "correlation", "displacement", "sinks"))
-        print(f"{r['fault']:18}{r['kmh']:5d}" + "".join(f"{v:8.2f}" for v in values))
+        figures = (r[k] for k in ("real", "model", "gain", "correlation", "displacement", "sinks"))
+        print(f"{r['fault']:18}{r['kmh']:5d}" + "".join(f"{v:8.2f}" for v in figures))
 
 
 if __name__ == "__main__":

@@ -84,6 +84,7 @@ def measure(endpoint: Path, seconds: float) -> list[dict[str, Any]]:
     import rclpy
     from geometry_msgs.msg import PoseStamped
     from rclpy.qos import QoSProfile
+    from rclpy.utilities import try_shutdown
     from sensor_msgs.msg import JointState
     from tf2_msgs.msg import TFMessage
 
@@ -105,8 +106,15 @@ def measure(endpoint: Path, seconds: float) -> list[dict[str, Any]]:
         BAG,
         "--loop",
     ]
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment}
-    processes = [subprocess.Popen(list(map(str, command)), **quiet) for command in (server, twin)]
+    processes = [
+        subprocess.Popen(
+            list(map(str, command)),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            env=environment,
+        )
+        for command in (server, twin)
+    ]
     rclpy.init(args=[])
     try:
         client = _connected(port, processes[0])
@@ -133,7 +141,7 @@ def measure(endpoint: Path, seconds: float) -> list[dict[str, Any]]:
                 process.wait(3.0)
             except subprocess.TimeoutExpired:  # the endpoint waits for its threads
                 process.kill()
-        rclpy.try_shutdown()
+        try_shutdown()
 
 
 def _connected(port: int, server: subprocess.Popen[bytes]) -> Client:

@@ -155,7 +155,8 @@ _NEEDED = {"source": ("sources", "sensorlogger://127.0.0.1:0"), "road_learner": 
 def _graph() -> dict[str, dict[str, list[tuple[str, str]]]]:
     """Of each node its own ``in`` and ``out`` topics, ``services`` and ``actions``, each with its type."""
     import rclpy
-    from rclpy.action import get_action_server_names_and_types_by_node
+    from rclpy.action.graph import get_action_server_names_and_types_by_node
+    from rclpy.utilities import try_shutdown
 
     found = {}
     rclpy.init(args=[])
@@ -174,7 +175,7 @@ def _graph() -> dict[str, dict[str, list[tuple[str, str]]]]:
             }
             node.destroy_node()
     finally:
-        rclpy.try_shutdown()
+        try_shutdown()
     return found
 
 
@@ -386,13 +387,13 @@ def effects_picture() -> None:
     edges = 0.5 * 2.0 ** (0.5 * np.arange(12))  # Hz
 
     def bands(taken: Any, *given: EffectSpec) -> Any:
-        response = simulate_twin(twin.model_copy(update={"effects": given}), prepared.excitation)
+        response = simulate_twin(twin.model_copy(update={"effects": given}), prepared.road_excitation)
         f, density = power_density(
             prepared.condition(response)["vertical_acceleration"] - taken, prepared.rate, 4.0
         )
         return np.array([density[(f >= a) & (f < b)].mean() for a, b in zip(edges, edges[1:], strict=False)])
 
-    undisturbed = prepared.condition(simulate_twin(twin, prepared.excitation))["vertical_acceleration"]
+    undisturbed = prepared.condition(simulate_twin(twin, prepared.road_excitation))["vertical_acceleration"]
     motion, rows = bands(0.0), {}
     for name, e in EFFECTS.items():
         if "full_car" not in e.models:
@@ -474,7 +475,7 @@ def draw_diagnosis(case: Path, answer: Path) -> None:
         ("gap before", "before", case),
         ("gap with the cause added", "simulated", answer),
     ):
-        response = simulate_twin(load_twin(twin / "twin.yaml"), prepared.excitation)
+        response = simulate_twin(load_twin(twin / "twin.yaml"), prepared.road_excitation)
         series[label] = (role, prepared.condition(response)["vertical_acceleration"] - measured)
     with style.using():
         fig = style.figure(8.6, 2.9)
