@@ -42,6 +42,7 @@ from calibration_cases import (
 )
 from calibration_judge import judged_by, same_question, traced
 from calibration_peers import draw, peers
+from options import parse_options
 from rich.console import Console
 from rich.table import Table
 
@@ -271,7 +272,7 @@ def main() -> None:
     parser.add_argument("--seeds", choices=FIRST_SEED, default="reporting")
     parser.add_argument("--peer-seconds", type=float, default=60.0, help="time each peer is given")
     parser.add_argument("--picture", type=Path, help="where to draw the peers (.png, .svg)")
-    given = parser.parse_args()
+    given = parse_options(parser, vehicles=1, peer_seconds=1.0)
     console = Console(stderr=given.json, highlight=False)
     seeds = range(FIRST_SEED[given.seeds], FIRST_SEED[given.seeds] + given.vehicles)
     results: dict[str, Any] = {"seeds": list(seeds)}

@@ -20,7 +20,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from extras import unavailable
 from fmu_importers import columns, walk_2, walk_3  # first: says what is missing
+from options import parse_options
 from rich.console import Console
 from rich.table import Table
 
@@ -112,10 +114,9 @@ def main() -> int:
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--seconds", type=float, default=200.0, help="simulated seconds of each timed run")
     parser.add_argument("--repeats", type=int, default=5)
-    options = parser.parse_args()
+    options = parse_options(parser, seconds=1.0, repeats=1)
     if shutil.which("cc") is None:
-        print("export.py: needs a C compiler, cc", file=sys.stderr)
-        return 2
+        unavailable("needs a C compiler, cc")
     with tempfile.TemporaryDirectory() as folder:
         found = compared(Path(folder))
         speed = timed(Path(folder), options.seconds, options.repeats)

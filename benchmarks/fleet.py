@@ -37,6 +37,7 @@ from typing import Any
 
 import numpy as np
 import psutil
+from options import parse_options
 
 #: As docs/fleet.md has it for workers of a scheduler of one's own.
 ENVIRONMENT = {
@@ -458,7 +459,7 @@ def main() -> None:
     parser.add_argument("--budget", type=float, default=LONGEST, metavar="S", help="s of a run at most")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", action="store_true", help="figures as one JSON object")
-    options = parser.parse_args()
+    options = parse_options(parser, vehicles=1, faults=0, drives=4, seconds=10.0, workers=[1])
 
     def say(text: str) -> None:
         if not options.json:

@@ -28,6 +28,7 @@ from typing import Any
 
 import psutil
 from fleet import ENVIRONMENT, bare, free_port, make_fleet
+from options import parse_options
 
 #: Workers that share a process: their event loops cost one core together.
 EACH = 50
@@ -223,7 +224,7 @@ def main() -> int:
     parser.add_argument("--plot", type=Path, metavar="FILE")
     parser.add_argument("--from", dest="known", type=Path, metavar="FILE")
     parser.add_argument("--json", action="store_true", help="figures as one JSON object")
-    options = parser.parse_args()
+    options = parse_options(parser, workers=[1], length=[0.1])
     if options.known:
         found = json.loads(options.known.read_text(encoding="utf-8"))
     else:

@@ -5,7 +5,7 @@ The other code is ``other_car.c``: seven degrees of freedom, linear, Runge-Kutta
 with the same numbers drives over the bundled speed bump with a simulated phone and receiver; the FMU's springs and
 dampers are then searched from wrong values.
 
-Usage: ``python benchmarks/fmu.py [--json] [--generations N]``.
+Usage: ``python benchmarks/fmu.py [--json] [--generations N] [--searches NAME ...]``.
 """
 
 from __future__ import annotations
@@ -15,10 +15,12 @@ import json
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from options import parse_options
 from other_car import STIFFNESS, fmu_section, linear_car, other_car, vehicle_of  # first: says what is missing
 from rich.console import Console
 from rich.table import Table
@@ -64,7 +66,7 @@ def fmu_twin(car: Twin, file: Path, parameters: dict[str, Any]) -> Twin:
     return parse_twin({"model": "fmu", "fmu": section, "vehicle": vehicle_of(car), **data})
 
 
-def measured(folder: Path, generations: int) -> dict[str, Any]:
+def measured(folder: Path, generations: int, searches: Sequence[str]) -> dict[str, Any]:
     """All figures."""
     file, car = folder / "other_car.fmu", linear_car(BUMP / "twin.yaml")
     other_car(file)
@@ -93,7 +95,7 @@ def measured(folder: Path, generations: int) -> dict[str, Any]:
         model.step(t, PoseSample(*row))
     out["microseconds_a_live_step"] = 1e6 * (time.perf_counter() - began) / len(rows)
     save_twin(fmu_twin(car, file, START), folder / "twin.yaml")
-    out["searches"] = [searched(name, folder, generations, chosen) for name, chosen in SEARCHES.items()]
+    out["searches"] = [searched(name, folder, generations, SEARCHES[name]) for name in searches]
     return out
 
 
@@ -124,9 +126,10 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--generations", type=int, default=15, help="of each population search at most")
-    options = parser.parse_args()
+    parser.add_argument("--searches", nargs="+", choices=list(SEARCHES), default=list(SEARCHES))
+    options = parse_options(parser, generations=1, searches=["fast, Gauss-Newton"])
     with tempfile.TemporaryDirectory() as folder:
-        found = measured(Path(folder), options.generations)
+        found = measured(Path(folder), options.generations, options.searches)
     if options.json:
         print(json.dumps(found))
         return 0

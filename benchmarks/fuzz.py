@@ -32,6 +32,8 @@ from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
+from options import parse_options
+
 PATIENCE = 5.0  # s
 TOKEN = "fuzzing-fuzzing"
 #: What stands in for a value of JSON.
@@ -441,7 +443,7 @@ def main() -> int:
     parser.add_argument("--requests", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", action="store_true", help="one JSON object instead of the table")
-    arguments = parser.parse_args()
+    arguments = parse_options(parser, requests=300)
     result = attack_process(arguments.requests, arguments.seed)
     result["parsers"] = attack_parsers(arguments.requests // 10, arguments.seed)
     good = (

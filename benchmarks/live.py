@@ -37,6 +37,7 @@ os.environ.setdefault("ROS_DOMAIN_ID", "88")
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 import numpy as np
+from options import parse_options
 
 #: The twin's p99 may be this many times the relay's.
 BAR = 2.0
@@ -495,7 +496,7 @@ def main() -> int:
     parser.add_argument(
         "--batch", type=float, default=0.0, help="with --source: s between messages; 0: one a sample"
     )
-    arguments = parser.parse_args()
+    arguments = parse_options(parser, seconds=1.0, rounds=1, warm_up=0.5, replay=20.0)
     if arguments.source:
         from live_sources import Load, measure_source, print_source
 

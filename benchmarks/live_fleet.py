@@ -27,6 +27,7 @@ os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 import numpy as np
 import psutil
+from options import parse_options
 
 SPEED = 10.0
 QUIET = ["--ros-args", "--log-level", "error"]
@@ -226,7 +227,7 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=100.0, help="Hz of the IMU")
     parser.add_argument("--seconds", type=float, default=10.0, help="s of every measurement")
     parser.add_argument("--json", action="store_true", help="figures as one JSON object")
-    options = parser.parse_args()
+    options = parse_options(parser, twins=[1], seconds=2.0)
     QUIETLY = options.json
     import rclpy
 

@@ -18,6 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from extras import unavailable
+from options import parse_options
 
 PACKAGES = ("@mcap/core@2.2.2", "@foxglove/rosmsg@5", "@foxglove/rosmsg2-serialization@3", "fzstd@0.1")
 HERE = Path(__file__).resolve().parent
@@ -88,11 +90,10 @@ def main() -> int:
     )
     parser.add_argument("bag", type=Path, nargs="?", default=HERE.parent / "bags" / "bump_15kmh")
     parser.add_argument("--json", action="store_true", help="one JSON object instead of the table")
-    arguments = parser.parse_args()
+    arguments = parse_options(parser)
     missing = [name for name in ("node", "npm") if shutil.which(name) is None]
     if missing:
-        print(f"mcap_core.py: not installed: {', '.join(missing)}", file=sys.stderr)
-        return 2
+        unavailable(f"not installed: {', '.join(missing)}")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         file = recorded(arguments.bag, folder)

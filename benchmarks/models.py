@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from options import parse_options
 from peak import arithmetic_peak
 from peers import LinearCar, MujocoCar, NumpyCars, linear
 from plain_car import PlainCar
@@ -342,8 +343,7 @@ def main() -> None:
     )
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
     parser.add_argument("--repeats", type=int, default=9, help="tries of each measurement")
-    parser.add_argument("--smoke", action="store_true", help="all of it once, on runs of seconds")
-    arguments = parser.parse_args()
+    arguments = parse_options(parser)
     scale = SMOKE if arguments.smoke else Scale(repeats=max(1, arguments.repeats))
     figures, rows = measure(scale)
     if arguments.json:

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from options import parse_options
 from paper_trucks import TRUCKS, truck
 from rich.console import Console
 from rich.table import Table
@@ -326,7 +327,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/paper"), help="folder for the pictures")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", nargs="+", choices=("car", "trucks"), default=["car", "trucks"])
-    given = parser.parse_args()
+    given = parse_options(parser, only=["car"])
     given.out.mkdir(parents=True, exist_ok=True)
     results: dict[str, Any] = {"seed": given.seed}
     if "car" in given.only:

@@ -27,6 +27,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from options import parse_options
 from rich.console import Console
 from rich.table import Table
 from scipy.interpolate import CubicSpline
@@ -254,7 +255,7 @@ def main() -> int:
         "--diagnose", type=int, metavar="N", help="make N cases, each effect in turn, and diagnose them"
     )
     parser.add_argument("--json", action="store_true", help="figures as JSON on standard output")
-    given = parser.parse_args()
+    given = parse_options(parser, seconds=5.0)
     if given.diagnose:
         answers = diagnosed(given.out, given.seed, given.diagnose, given.seconds)
         table = Table(title="Diagnoses", title_justify="left", title_style="bold")

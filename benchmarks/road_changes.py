@@ -31,6 +31,7 @@ sys.path[:0] = [str(HERE), str(HERE.parent / "bags")]
 from blind import severity  # noqa: E402
 from blind.faults import knob  # noqa: E402
 from blind.world import make_world  # noqa: E402
+from options import parse_options  # noqa: E402
 from road_drives_world import drive_over, make_site  # noqa: E402
 
 from suspension_twin.addons.roads.drives.drives import road_from_drives, surface_of  # noqa: E402
@@ -171,7 +172,7 @@ def main() -> None:
         "--out", type=Path, default=Path("road_changes"), help="where cases and answers are kept"
     )
     parser.add_argument("--json", action="store_true")
-    options = parser.parse_args()
+    options = parse_options(parser, cases=1)
     cases = [Case(options.first + n) for n in range(options.cases)]
     out = options.out.resolve()
     rows = []

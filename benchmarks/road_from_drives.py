@@ -40,6 +40,7 @@ from scipy.special import k1
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "bags")]
 
+from options import parse_options  # noqa: E402
 from road_drives_world import Site, drive_over, make_site, phone_fixes, truth_along  # noqa: E402
 
 from suspension_twin.addons.roads.drives.drives import road_from_drives, surface_of  # noqa: E402
@@ -293,7 +294,7 @@ def main() -> None:
     parser.add_argument("--only", choices=("rtk", "lanes", "five", "phone", "joint"))
     parser.add_argument("--picture", type=Path)
     parser.add_argument("--json", action="store_true")
-    asked = parser.parse_args()
+    asked = parse_options(parser, seeds="7001", realities="newton", only="rtk")
     rows = []
     for seed in (int(s) for s in asked.seeds.split(",")):
         for reality in asked.realities.split(","):

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Roads from a real car's drives: does the road of one pass predict the vertical acceleration of another?
 
-    python benchmarks/road_real_drives.py [--data DIR] [--json] [--pictures DIR]
+    python benchmarks/road_real_drives.py [--data DIR] [--pairs N] [--json] [--pictures DIR]
 
 rtklibexplorer's ``GNSS_IMU`` (a car with a roof IMU and an RTK receiver, see ``../shared/data`` or
 SUSPENSION_TWIN_DATA): every stretch that is driven twice in the same direction, the bump at 337.6 and 362.6 s among
@@ -24,7 +24,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from extras import unavailable
 from matplotlib.figure import Figure
+from options import parse_options
 
 from suspension_twin.addons.roads.drives.drives import Part, road_from_drives, surface_of
 from suspension_twin.addons.roads.drives.estimate import RoadEstimateSettings
@@ -194,8 +196,10 @@ def _draw(
     figure.savefig(path, dpi=120, facecolor="white")
 
 
-def study(drive: Drive, twin: Twin, pictures: Path | None, near: float, bump: bool) -> dict[str, Any]:
-    """All pairs of a drive, both ways."""
+def study(
+    drive: Drive, twin: Twin, pictures: Path | None, near: float, bump: bool, most: int | None
+) -> dict[str, Any]:
+    """The first ``most`` pairs of a drive, both ways."""
     whole = observe(drive, twin, flat_road())
     pairs = repeats(whole, near)
     if bump:
@@ -203,7 +207,7 @@ def study(drive: Drive, twin: Twin, pictures: Path | None, near: float, bump: bo
         own = [(at - late - AROUND, at - late + AROUND) for at in BUMP]
         pairs.insert(0, Pair("bump", own[0], own[1]))
     rows = []
-    for pair in pairs:
+    for pair in pairs[:most]:
         for way, one in (("", pair), (" back", Pair(pair.name, pair.second, pair.first))):
             picture = None  # a picture of the prediction, and one of the road
             if pictures is not None:
@@ -237,14 +241,20 @@ def main() -> None:
     parser.add_argument(
         "--data", type=Path, default=Path(os.environ.get("SUSPENSION_TWIN_DATA", ROOT / "../shared/data"))
     )
+    parser.add_argument(
+        "--pairs", type=int, metavar="N", help="the first N of each recording; all by default"
+    )
     parser.add_argument("--pictures", type=Path)
     parser.add_argument("--json", action="store_true")
-    asked = parser.parse_args()
+    asked = parse_options(parser, pairs=1)
+    for name in ("rtklibexplorer_GNSS_IMU", "comma2k19_Example_1"):
+        if not (asked.data / name).is_dir():
+            unavailable(f"{asked.data / name} is not there: name the folder of measured data with --data")
     mapping = ROOT / "config" / "import" / "rtklibexplorer_gnss_imu.yaml"
     drive = import_drive([asked.data / "rtklibexplorer_GNSS_IMU"], mapping=mapping).drive
-    result = {"rtklibexplorer": study(drive, rtk_car(drive), asked.pictures, NEAR, True)}
+    result = {"rtklibexplorer": study(drive, rtk_car(drive), asked.pictures, NEAR, True, asked.pairs)}
     drive = import_drive([asked.data / "comma2k19_Example_1"]).drive
-    result["comma2k19"] = study(drive, phone_car(drive), asked.pictures, 5.0, False)
+    result["comma2k19"] = study(drive, phone_car(drive), asked.pictures, 5.0, False, asked.pairs)
     if asked.json:
         print(json.dumps(result, indent=1))
     else:

@@ -46,6 +46,8 @@ from scipy import ndimage
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
 
+from extras import unavailable  # noqa: E402
+from options import parse_options  # noqa: E402
 from scanners import Ground, Scan, mobile, terrestrial  # noqa: E402
 
 from suspension_twin.addons.roads.pictures import save_scan_picture  # noqa: E402
@@ -372,7 +374,7 @@ def main() -> None:
     )
     parser.add_argument("--picture", type=Path)
     parser.add_argument("--json", action="store_true")
-    asked = parser.parse_args()
+    asked = parse_options(parser, roads="town", scanners="mobile")
     if asked.size:
         row = size(asked.size)
         if asked.json:
@@ -392,7 +394,7 @@ def main() -> None:
             try:
                 site = makers[name]()
             except OSError as error:
-                raise SystemExit(f"{error}: name the folder of measured data with --data") from None
+                unavailable(f"{error}: name the folder of measured data with --data")
             for scanner in asked.scanners.split(","):
                 rows.append(case(site, scanner, seed, asked.picture))
                 print(f"{name} {scanner} {seed}", json.dumps(rows[-1]), file=sys.stderr, flush=True)

@@ -36,7 +36,9 @@ from blind.faults import ROAD, SENSOR, TIME, misread
 from blind.newton import Faults
 from blind.phone import Felt, felt
 from blind.world import G, Phone
+from extras import unavailable
 from multibody_truth import Truth, read_truth
+from options import parse_options
 from rich.console import Console
 from rich.table import Table
 from scipy.interpolate import CubicSpline
@@ -363,13 +365,15 @@ def main() -> None:
     )
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--out", type=Path, help="where cases, labels and evidence stay")
-    options = parser.parse_args()
+    options = parse_options(parser, workers=1)
     if not (options.data / "no_effect_added" / "twin.yaml").is_file():
-        raise SystemExit(f"{options.data}: no drives of no_effect_added; name the folder with --data")
+        unavailable(f"{options.data}: no drives of no_effect_added; name the folder with --data")
     planned = {"_gross": plan_gross, "_vehicle": plan_vehicle, "": plan}
     which = "_gross" if options.gross else "_vehicle" if options.vehicle else ""
     every = planned[which](options.seeds)
     cases = [c for c in every if not options.only or c.name in options.only]
+    if options.smoke:
+        cases = cases[:1]
     if not cases:
         raise SystemExit(f"--only: none of {' '.join(options.only)} is a case of these seeds")
     rows = []

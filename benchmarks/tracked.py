@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from options import parse_options
 
 from suspension_twin.calibration.damping import DAMPINGS, PAPER_CURVE, SPEEDS, select_damping
 from suspension_twin.models.tracked import simulate_tracked, simulate_tracked_lanes
@@ -125,7 +126,7 @@ def main() -> None:
         "--convergence", action="store_true", help="also with other elements, contacts and steps"
     )
     parser.add_argument("--obstacles", action="store_true", help="also on other obstacles")
-    arguments = parser.parse_args()
+    arguments = parse_options(parser)
     vehicle = load_tracked(arguments.vehicle)
     simulate_tracked(vehicle, 5.0, 0.1)  # compiles
     wall, processor = time.perf_counter(), time.process_time()

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from options import parse_options
 from tracked_agreement import simulate_runs
 from tracked_cases import signals
 from tracked_reality import Faults, simulate
@@ -150,7 +151,7 @@ def main() -> None:
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--kmh", type=int, nargs="+", choices=list(SECONDS), default=[8, 13])
-    arguments = parser.parse_args()
+    arguments = parse_options(parser, kmh=[13])
     start = load_twin(FILE)
     start = model_of(start).prepared(start)  # with a driver
     specimen = start.vehicle.with_changes(SOUND)

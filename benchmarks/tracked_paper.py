@@ -18,6 +18,7 @@ from typing import Any, Final
 
 import numpy as np
 import yaml
+from options import parse_options
 from tracked_agreement import compare, simulate_runs
 
 from suspension_twin.calibration.request import CalibrationRequest
@@ -40,7 +41,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="folder for Figs 7 to 12")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--generations", type=int, default=0, help="0: as many as the preset says")
-    arguments = parser.parse_args()
+    arguments = parse_options(parser, generations=1)
     vehicle = load_tracked(ROOT / "pt91.yaml")
     files = sorted((ROOT / "runs").glob("*.csv"))
     runs = [read_run(p, vehicle) for p in files]

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import yaml
+from options import parse_options
 from tracked_reality import Faults, photogrammetry, simulate
 
 from suspension_twin.vehicle.tracked import load_tracked
@@ -41,7 +42,7 @@ def write_run(path: Path, table: np.ndarray) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description="Make the marker runs.")
     parser.add_argument("--out", type=Path, default=ROOT / "runs")
-    out = parser.parse_args().out
+    out = parse_options(parser).out
     out.mkdir(parents=True, exist_ok=True)
     vehicle = load_tracked(ROOT / "pt91.yaml").with_changes(TRUTH)
     for kmh, seconds in SPEEDS.items():

@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from options import parse_options
 from scipy.optimize import minimize
 
 from suspension_twin.diagnosis.decision import (
@@ -352,7 +353,7 @@ def main() -> None:
     parser.add_argument("--write", action="store_true", help="write decision.json")
     parser.add_argument("--costs", default="", help="as of suspension-twin diagnose")
     parser.add_argument("--json", action="store_true")
-    options = parser.parse_args()
+    options = parse_options(parser)
     if options.keep:
         print(f"{keep(options.keep)} cases are kept in {KEPT}", file=sys.stderr)
     lines = read()

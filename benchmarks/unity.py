@@ -25,6 +25,8 @@ os.environ.setdefault("ROS_DOMAIN_ID", "87")
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 import numpy as np
+from extras import unavailable
+from options import parse_options
 
 TOPICS = {
     "/twin/pose": "geometry_msgs/PoseStamped",
@@ -180,7 +182,9 @@ def main() -> int:
     )
     parser.add_argument("--seconds", type=float, default=20.0, help="length of the measurement")
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
-    arguments = parser.parse_args()
+    arguments = parse_options(parser, seconds=2.0)
+    if not (arguments.endpoint / "ros_tcp_endpoint").is_dir():
+        unavailable(f"{arguments.endpoint}: no folder of ROS-TCP-Endpoint, branch main-ros2")
     rows = measure(arguments.endpoint, arguments.seconds)
     if arguments.json:
         print(json.dumps({"seconds": arguments.seconds, "topics": rows}))

@@ -18,6 +18,9 @@ import time
 from pathlib import Path
 from typing import Any
 
+from extras import unavailable
+from options import parse_options
+
 from suspension_twin.diagnosis.answer import write
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.diagnosis.run import diagnose
@@ -74,11 +77,14 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", default=[])
     parser.add_argument("--out", type=Path, default=Path("out/withheld"))
     parser.add_argument("--json", action="store_true")
-    options = parser.parse_args()
+    options = parse_options(parser)
     found = [c for c in cases(options.data) if not options.only or c.name in options.only]
     if not found:
-        raise SystemExit(f"{options.data}: no case with a twin.yaml; name the folder with --data")
-    known = {r["case"]: r for r in json.loads(RESULTS.read_text())["cases"]} if RESULTS.is_file() else {}
+        unavailable(f"{options.data}: no case with a twin.yaml; name the folder with --data")
+    results = RESULTS
+    if options.smoke:
+        found, results = found[:1], options.out / "withheld.json"
+    known = {r["case"]: r for r in json.loads(results.read_text())["cases"]} if results.is_file() else {}
     for case in found:
         try:
             known[case.name] = run(case, options.out)
@@ -88,9 +94,9 @@ def main() -> None:
         if not options.json:
             text = row.get("message", row.get("error"))
             print(f"{case.name:18s} {row.get('verdict', 'error'):8s} {text}", flush=True)
-        RESULTS.parent.mkdir(parents=True, exist_ok=True)
+        results.parent.mkdir(parents=True, exist_ok=True)
         table = {"cases": [known[k] for k in sorted(known)]}
-        RESULTS.write_text(json.dumps(table, indent=2, ensure_ascii=False) + "\n")
+        results.write_text(json.dumps(table, indent=2, ensure_ascii=False) + "\n")
     if options.json:
         print(json.dumps({"cases": [known[c.name] for c in found]}))
 

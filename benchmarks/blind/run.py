@@ -27,6 +27,8 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any, get_args
 
+from options import parse_options
+
 from blind import ROOT, ask, seal
 from blind.plan import MEASURED, Seeds, Spec, plan
 
@@ -153,7 +155,7 @@ def parsed() -> argparse.Namespace:
     )
     parser.add_argument("--out", type=Path, default=None, metavar="DIR")
     parser.add_argument("--json", action="store_true")
-    options = parser.parse_args()
+    options = parse_options(parser, limit=1, jobs=1)
     options.seeds = options.seeds or OF_REALITY.get(options.reality, "dev")
     options.short = options.short or not (
         options.full or options.only or options.limit or options.case is not None

@@ -11,10 +11,13 @@ import argparse
 import json
 import os
 import platform
+import tempfile
 import time
 from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
+
+from options import parse_options
 
 from torture.ledger import Tally, load, save
 
@@ -59,7 +62,7 @@ def main() -> int:
     parser.add_argument("--json", action="store_true", help="print the figures as JSON")
     parser.add_argument("--anew", action="store_true", help="forget what is kept of these rows")
     parser.add_argument("--out", type=Path, default=RESULTS, help="where the figures are kept")
-    options = parser.parse_args()
+    options = parse_options(parser, minutes=0.0, out=Path(tempfile.gettempdir()) / "torture_smoke.json")
     tallies = load(options.out)
     names = options.only or list(ROWS)
     machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"

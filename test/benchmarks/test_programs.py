@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every benchmark runs to its end at the reduced size of ``--smoke`` and prints its table."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+#: Of each program, what its table or last line looks like; those in ``NEEDS`` get arguments as well.
+TABLES = {
+    "blind": r"verdict",
+    "calibration": r"",
+    "diagnosis": r"two drives with the gap +library .* s, processor",
+    "export": r"communication step, ms +times real time",
+    "fleet": r"",
+    "fleet_scaling": r"One core is full in the scheduler at",
+    "fmu": r"Error of the parameters found",
+    "fuzz": r"300 requests in .* s: passed",
+    "golden": r"",
+    "iio_qemu": r"Largest relative difference",
+    "live": r"p99 of the twin / of the relay",
+    "live_fleet": r"1 twins at 100 Hz in 1 process",
+    "live_pose": r"Largest error of the live pose",
+    "mcap_core": r"The same as this project reads",
+    "measured": r"Two passes over one bump",
+    "models": r"",
+    "multibody": r"",
+    "mutation": r"",
+    "paper": r"Pictures in",
+    "peak": r"GFLOP/s on one core",
+    "plan_confusion": r"",
+    "rig": r"Gap of the twin as it is written",
+    "road_changes": r"named on the scanned road",
+    "road_from_drives": r"third drive: .* m/s² left on it",
+    "road_real_drives": r"stretches driven twice",
+    "road_scan": r"",
+    "roads": r"",
+    "scan_registration": r"turn, deg",
+    "seeded": r"Seeded faults",
+    "sensor": r"worst ratio",
+    "torture": r"torture +trials +failed",
+    "tracked": r"variance of the pitch",
+    "tracked_blind": r"of 1 right",
+    "tracked_changes": r"its radius of gyration",
+    "tracked_paper": r"repeats among themselves",
+    "tracked_runs": r"13 km/h, 1: \d+ rows",
+    "train_decision": r"conformal threshold",
+    "unity": r"Through the endpoint",
+    "withheld": r"",
+}
