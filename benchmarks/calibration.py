@@ -25,7 +25,7 @@ import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from calibration_cases import (
@@ -250,9 +250,10 @@ def show(console: Console, results: dict[str, Any]) -> None:
 
 
 def _print(console: Console, title: str, columns: list[str], rows: list[list[Any]]) -> None:
-    table = Table(title=title, title_justify="left", title_style="bold")
+    table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
     for name in columns:
-        table.add_column(name.replace("_", " "), justify="right" if name != columns[0] else "left")
+        side: Literal["left", "right"] = "left" if name == columns[0] else "right"
+        table.add_column(name.replace("_", " "), justify=side, overflow="fold")
     for row in rows:
         table.add_row(*(_cell(v) for v in row))
     console.print(table)

@@ -18,6 +18,7 @@ from suspension_twin.calibration.request import Progress
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.calibration.searches import costs_of
 from suspension_twin.calibration.setup import set_up
+from suspension_twin.inference.problem import Problem
 from suspension_twin.inference.synthetic import SensorErrors
 from suspension_twin.models.parameters import twin_value
 from suspension_twin.vehicle.twin import Twin, load_twin
@@ -132,7 +133,7 @@ def _scipy(batch: Callable[[Floats], Floats], lower: Floats, upper: Floats, seco
     return _told(counted)
 
 
-def _pymoo(problem: Any, twin: Twin, seconds: float) -> dict[str, Any]:
+def _pymoo(problem: Problem, twin: Twin, seconds: float) -> dict[str, Any]:
     from pymoo.algorithms.soo.nonconvex.ga import GA
     from pymoo.core.problem import ElementwiseProblem
     from pymoo.optimize import minimize
@@ -146,7 +147,7 @@ def _pymoo(problem: Any, twin: Twin, seconds: float) -> dict[str, Any]:
     class Plain(ElementwiseProblem):  # type: ignore[misc]
         def _evaluate(self, x: np.ndarray, out: dict[str, Any], *args: Any, **kwargs: Any) -> None:
             candidate = problem.space.applied(twin, np.asarray(x))
-            signal = part.conditioner.apply(car.simulate(candidate.vehicle))[rows]
+            signal = part.grid.apply(car.simulate(candidate.vehicle))[rows]
             out["F"] = float(np.sqrt(np.sum((signal - wanted) ** 2)))
             counted.note(np.array([out["F"]]))
 

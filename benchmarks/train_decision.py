@@ -384,7 +384,8 @@ def main() -> None:
         if name not in ("rows", "by_effect"):
             print(f"{name:30s} {value}")
     for name, value in figures["by_effect"].items():
-        print(f"  {name:28s} named {value[0]}, first {value[2]}, of {value[1]}")
+        if value[1]:
+            print(f"  {name:28s} named {value[0]}, first {value[2]}, of {value[1]}")
 
 
 if __name__ == "__main__":

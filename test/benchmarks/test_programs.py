@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-#: Of each program, what its table or last line looks like; those in ``NEEDS`` get arguments as well.
+#: What each program prints at its end.
 TABLES = {
     "blind": r"verdict",
     "calibration": r"",
@@ -53,3 +53,45 @@ TABLES = {
     "unity": r"Through the endpoint",
     "withheld": r"",
 }
+#: Arguments that a program does not go without.
+ARGUMENTS = {
+    "blind": "--out {out}",
+    "golden": "make {out}",
+    "iio_qemu": "linux-image.deb",
+    "multibody": "--out {out}",
+    "paper": "--out {out}",
+    "rig": "--out {out}",
+    "road_changes": "--out {out}",
+    "tracked_runs": "--out {out}",
+    "unity": "--endpoint ROS-TCP-Endpoint",
+    "withheld": "--out {out}",
+}
+#: Those that take a few seconds.
+SHORT = {"peak"}
+
+
+def test_every_program_is_run(repository: Path) -> None:
+    programs = {
+        p.stem for p in (repository / "benchmarks").glob("*.py") if "__main__" in p.read_text("utf-8")
+    }
+    assert programs == TABLES.keys()
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=() if n in SHORT else pytest.mark.long) for n in TABLES]
+)
+def test_it_runs_to_its_end(name: str, repository: Path, tmp_path: Path) -> None:
+    """Exit status 2 and one line say what is not on this machine."""
+    arguments = ARGUMENTS.get(name, "").format(out=tmp_path / "out").split()
+    done = subprocess.run(
+        [sys.executable, str(repository / "benchmarks" / f"{name}.py"), *arguments, "--smoke"],
+        capture_output=True,
+        text=True,
+        timeout=600,
+        cwd=tmp_path,
+        env={**os.environ, "COLUMNS": "100", "TMPDIR": str(tmp_path)},
+    )
+    if done.returncode == 2 and len(done.stderr.splitlines()) == 1:
+        pytest.skip(done.stderr.strip())
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert re.search(TABLES[name], done.stdout), done.stdout
