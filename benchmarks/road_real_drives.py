@@ -21,7 +21,7 @@ import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 from extras import unavailable
@@ -197,10 +197,9 @@ def _draw(
     figure.savefig(path, dpi=120, facecolor="white")
 
 
-def study(
-    drive: Drive, twin: Twin, pictures: Path | None, near: float, bump: bool, most: int | None
-) -> dict[str, Any]:
-    """The first ``most`` pairs of a drive, both ways."""
+def study(drive: Drive, twin: Twin, near: float, bump: bool, asked: argparse.Namespace) -> dict[str, Any]:
+    """The first pairs of a drive, both ways: as many as ``asked``."""
+    pictures: Path | None = asked.pictures
     whole = observe(drive, twin, flat_road())
     pairs = repeats(whole, near)
     if bump:
@@ -208,7 +207,7 @@ def study(
         own = [(at - late - AROUND, at - late + AROUND) for at in BUMP]
         pairs.insert(0, Pair("bump", own[0], own[1]))
     rows = []
-    for pair in pairs[:most]:
+    for pair in pairs[: asked.pairs]:
         for way, one in (("", pair), (" back", Pair(pair.name, pair.second, pair.first))):
             picture = None  # a picture of the prediction, and one of the road
             if pictures is not None:
@@ -217,19 +216,19 @@ def study(
                 rows.append({"name": pair.name + way, **judged(drive, twin, whole, one, picture)})
             except ValueError as error:
                 rows.append({"name": pair.name + way, "error": str(error)})
-            _say(rows[-1])
+            _say(rows[-1], sys.stderr if asked.json else sys.stdout)
     return {"pairs": len(pairs), "rows": rows}
 
 
-def _say(row: dict[str, Any]) -> None:
+def _say(row: dict[str, Any], out: TextIO) -> None:
     if "error" in row:
-        print(f"  {row['name']}: {row['error']}", file=sys.stderr, flush=True)
+        print(f"  {row['name']}: {row['error']}", file=out, flush=True)
         return
     print(
         f"  {row['name']:12} {row['metres']:5.0f} m at {row['speeds'][0]:.1f} and {row['speeds'][1]:.1f} m/s: "
         f"twin {row['twin']:.2f} (unshifted {row['twin_unshifted']:.2f}), pass itself {row['pass']:.2f}; "
         f"{row['left']:.2f} left of {row['rms']:.2f} m/s²",
-        file=sys.stderr,
+        file=out,
         flush=True,
     )
 
@@ -253,13 +252,14 @@ def main() -> None:
             unavailable(f"{asked.data / name} is not there: name the folder of measured data with --data")
     mapping = ROOT / "config" / "import" / "rtklibexplorer_gnss_imu.yaml"
     drive = import_drive([asked.data / "rtklibexplorer_GNSS_IMU"], mapping=mapping).drive
-    result = {"rtklibexplorer": study(drive, rtk_car(drive), asked.pictures, NEAR, True, asked.pairs)}
+    result = {"rtklibexplorer": study(drive, rtk_car(drive), NEAR, True, asked)}
     drive = import_drive([asked.data / "comma2k19_Example_1"]).drive
-    result["comma2k19"] = study(drive, phone_car(drive), asked.pictures, 5.0, False, asked.pairs)
+    result["comma2k19"] = study(drive, phone_car(drive), 5.0, False, asked)
     if asked.json:
         print(json.dumps(result, indent=1))
     else:
-        print(f"comma2k19: {result['comma2k19']['pairs']} stretches driven twice")
+        for name, found in result.items():
+            print(f"{name}: {found['pairs']} stretches driven twice")
 
 
 if __name__ == "__main__":
