@@ -45,7 +45,8 @@ def read_by_core(file: Path, folder: Path) -> dict[str, Any]:
     """What ``@mcap/core`` finds, by topic."""
     (folder / "package.json").write_text('{"private": true, "type": "module"}\n')
     install = ["npm", "install", "--no-audit", "--no-fund", "--silent", *PACKAGES]
-    subprocess.run(install, cwd=folder, check=True)
+    if subprocess.run(install, cwd=folder, capture_output=True).returncode:
+        unavailable(f"npm cannot fetch {', '.join(PACKAGES)}")
     shutil.copy(HERE / "mcap_core.mjs", folder)
     command = ["node", "mcap_core.mjs", str(file)]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
