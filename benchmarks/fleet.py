@@ -434,9 +434,11 @@ def _told(row: dict[str, Any]) -> str:
 
 def _verdict(row: dict[str, Any]) -> str:
     """What was found, in words."""
+    off = row["largest_date_error_drives"]
+    dates = "" if off is None else f", dates off by at most {off} drives"
     return (
-        f"{row['found']} of {row['faults']} faults found, dates off by at most {row['largest_date_error_drives']} "
-        f"drives; {row['false']} of {row['sound']} sound vehicles named"
+        f"{row['found']} of {row['faults']} faults found{dates}; {row['false']} of {row['sound']} sound vehicles "
+        "named"
     )
 
 

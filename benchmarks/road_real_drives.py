@@ -142,7 +142,7 @@ def judged(drive: Drive, twin: Twin, whole: Observation, pair: Pair, picture: Pa
     u_first, a_first = places[0][moving][order], first.measured["vertical_acceleration"][moving][order]
     t = second.t - begin
     # Beside the road its border is held: what crosses the whole road goes on there.
-    usable = np.interp(second.t, whole.t, whole.mask.astype(float)) > 0.99
+    usable = np.asarray(np.interp(second.t, whole.t, whole.mask.astype(float)) > 0.99)
     k = usable & (t >= b0) & (t <= b1) & (places[1] > road.u_first) & (places[1] < road.u_last)
     if k.sum() < 0.5 * (b1 - b0) * second.rate:
         raise ValueError("too little of the second pass lies on the road of the first")
