@@ -21,10 +21,10 @@ from typing import Any
 import numpy as np
 from extras import unavailable
 from options import parse_options
-from rich.console import Console
 from rich.table import Table
 
 from suspension_twin.arrays import Floats
+from suspension_twin.cli.common import output
 from suspension_twin.drive.importing import import_drive
 from suspension_twin.drive.types import Drive
 from suspension_twin.pose.lock import PoseLock
@@ -187,7 +187,7 @@ def main() -> None:
             if isinstance(values, dict)
         )
         table.add_row(name, str(found["starts"]), *cells)
-    Console().print(table)
+    output().print(table)
 
 
 if __name__ == "__main__":
