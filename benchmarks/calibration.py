@@ -273,7 +273,7 @@ def main() -> None:
     parser.add_argument("--seeds", choices=FIRST_SEED, default="reporting")
     parser.add_argument("--peer-seconds", type=float, default=60.0, help="time each peer is given")
     parser.add_argument("--picture", type=Path, help="where to draw the peers (.png, .svg)")
-    given = parse_options(parser, vehicles=1, peer_seconds=1.0)
+    given = parse_options(parser, vehicles=1, peer_seconds=1.0, only=["evaluations", "accuracy", "peers"])
     console = Console(stderr=given.json, highlight=False)
     seeds = range(FIRST_SEED[given.seeds], FIRST_SEED[given.seeds] + given.vehicles)
     results: dict[str, Any] = {"seeds": list(seeds)}

@@ -23,10 +23,10 @@ import numpy as np
 from extras import unavailable
 from fmu_importers import columns, walk_2, walk_3  # first: says what is missing
 from options import parse_options
-from rich.console import Console
 from rich.table import Table
 
 from suspension_twin.addons.export.registry import ExportSettings, export_twin
+from suspension_twin.cli.common import output
 from suspension_twin.drive.read import read_drive
 from suspension_twin.inference.observation import observe
 from suspension_twin.models.connectors import OUTPUTS
@@ -114,7 +114,7 @@ def main() -> int:
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--seconds", type=float, default=200.0, help="simulated seconds of each timed run")
     parser.add_argument("--repeats", type=int, default=5)
-    options = parse_options(parser, seconds=1.0, repeats=1)
+    options = parse_options(parser, repeats=1)
     if shutil.which("cc") is None:
         unavailable("needs a C compiler, cc")
     with tempfile.TemporaryDirectory() as folder:
@@ -123,7 +123,7 @@ def main() -> int:
     if options.json:
         print(json.dumps({"compared": found, "speed": speed}))
         return 0
-    console = Console()
+    console = output()
     table = Table("drive", "twin", "FMI", "problems", "difference / motion", "output", "kB", box=None)
     for row in found:
         cells = row["drive"], row["twin"], row["fmi"], str(row["problems"]), f"{row['share_of_motion']:.1e}"

@@ -22,11 +22,11 @@ from typing import Any
 import numpy as np
 from options import parse_options
 from other_car import STIFFNESS, fmu_section, linear_car, other_car, vehicle_of  # first: says what is missing
-from rich.console import Console
 from rich.table import Table
 
 from suspension_twin.calibration.request import CalibrationRequest
 from suspension_twin.calibration.run import calibrate
+from suspension_twin.cli.common import output
 from suspension_twin.drive.write import write_drive
 from suspension_twin.inference.observation import observe
 from suspension_twin.inference.synthetic import synthetic_drive
@@ -126,14 +126,15 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--generations", type=int, default=15, help="of each population search at most")
-    parser.add_argument("--searches", nargs="+", choices=list(SEARCHES), default=list(SEARCHES))
-    options = parse_options(parser, generations=1, searches=["fast, Gauss-Newton"])
+    named = {name.partition(",")[0]: name for name in SEARCHES}
+    parser.add_argument("--searches", nargs="+", choices=list(named), default=list(named))
+    options = parse_options(parser, generations=1, searches=["fast"])
     with tempfile.TemporaryDirectory() as folder:
-        found = measured(Path(folder), options.generations, options.searches)
+        found = measured(Path(folder), options.generations, [named[n] for n in options.searches])
     if options.json:
         print(json.dumps(found))
         return 0
-    console = Console()
+    console = output()
     worst = max(found["difference"], key=found["difference"].get)
     console.print(
         f"Other code beside full_car over {found['seconds']:.0f} s: at most {found['difference'][worst]:.1e} of the "
