@@ -133,7 +133,8 @@ def main() -> int:
     table = Table("twin", "communication step, ms", "times real time, one core", box=None)
     for row in speed:
         table.add_row(row["twin"], f"{1e3 * row['step']:g}", f"{row['times_real_time']:.0f}")
-    console.print("\nSpeed", style="bold")
+    console.print()
+    console.print("Speed", style="bold")
     console.print(table)
     return 0
 

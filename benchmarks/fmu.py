@@ -142,8 +142,9 @@ def main() -> int:
     )
     console.print(
         f"Candidates: {found['times_real_time_1_threads']:.0f} times real time on one thread, "
-        f"{found['times_real_time_2_threads']:.0f} on two; live {found['microseconds_a_live_step']:.0f} µs a step\n"
+        f"{found['times_real_time_2_threads']:.0f} on two; live {found['microseconds_a_live_step']:.0f} µs a step"
     )
+    console.print()
     table = Table(
         "preset or objective",
         *(f"{key} %" for key in STIFFNESS),
