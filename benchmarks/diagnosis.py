@@ -101,12 +101,13 @@ def main() -> None:
             "two drives with the gap": [str(folder / "fault"), str(folder / "more")],
             "one, and one from before": [str(folder / "fault"), "--reference", str(folder / "before")],
         }
+        few = ["--effect", "time_offset", "--effect", "clock_drift"] if options.smoke else []
         timed(
             folder, [*ways["two drives with the gap"], "--effect", "time_offset"]
         )  # whatever has to be compiled
         found = {
             way: {
-                "library": timed(folder, drives),
+                "library": timed(folder, [*drives, *few]),
                 "alone": timed(folder, [*drives, "--effect", "time_offset"]),
             }
             for way, drives in ways.items()

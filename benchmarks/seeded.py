@@ -27,6 +27,7 @@ import subprocess
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -305,7 +306,9 @@ def label(case: Seeded) -> dict[str, Any]:
     }
 
 
-def answer(case: Seeded, data: Path, out: Path | None = None) -> dict[str, Any]:
+def answer(
+    case: Seeded, data: Path, out: Path | None = None, effects: tuple[str, ...] = ()
+) -> dict[str, Any]:
     """Make one case, diagnose it and return what was said of it; the case stays in ``out`` if that is given."""
     if case.share:
         effect = next(iter(case.faults))
@@ -320,7 +323,7 @@ def answer(case: Seeded, data: Path, out: Path | None = None) -> dict[str, Any]:
         drives = tuple(str(folder / n) for n in case.drives)
         reference = (str(folder / "reference"),) if case.reference else ()
         try:
-            found = diagnose(DiagnosisRequest(str(folder / "twin.yaml"), drives, reference))
+            found = diagnose(DiagnosisRequest(str(folder / "twin.yaml"), drives, reference, effects=effects))
         except SuspensionTwinError as error:
             return {"case": case.name, "faults": case.faults, "right": False, "error": str(error)}
         if out is not None:
@@ -372,13 +375,15 @@ def main() -> None:
     which = "_gross" if options.gross else "_vehicle" if options.vehicle else ""
     every = planned[which](options.seeds)
     cases = [c for c in every if not options.only or c.name in options.only]
+    effects: tuple[str, ...] = ()  # all
     if options.smoke:
-        cases = cases[:1]
+        cases, effects = cases[:1], ("time_offset",)
     if not cases:
         raise SystemExit(f"--only: none of {' '.join(options.only)} is a case of these seeds")
     rows = []
     with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
-        for row in pool.map(answer, cases, [options.data] * len(cases), [options.out] * len(cases)):
+        ask = partial(answer, data=options.data, out=options.out, effects=effects)
+        for row in pool.map(ask, cases):
             rows.append(row)
             if not options.json:
                 print(f"{row['case']:34s} {_said(row)}", flush=True)
