@@ -19,11 +19,13 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from extras import unavailable
+from numpy.typing import NDArray
+from options import parse_options
 from rich.console import Console
 from rich.table import Table
 from scipy.signal import butter, sosfiltfilt
@@ -31,11 +33,12 @@ from scipy.signal import butter, sosfiltfilt
 from suspension_twin.api import calibrate, simulate
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.presets import refined
-from suspension_twin.inference.simulated import SimulatedDrive
+from suspension_twin.inference.gap import Comparison
 from suspension_twin.inference.space import curve_keys
 from suspension_twin.vehicle.corners import AXLES
 from suspension_twin.vehicle.twin import Twin, load_twin
 
+Mask = NDArray[np.bool_]
 CHANNELS = ("vertical_acceleration", "roll_rate", "pitch_rate")
 BANDS = ((0.0, 1.0), (1.0, 4.0), (4.0, 10.0), (10.0, 20.0))
 INERTIAS = ("vehicle.sprung_inertia.roll", "vehicle.sprung_inertia.pitch")
@@ -59,7 +62,7 @@ def default_case() -> Path:
     return data / "no_effect_added"
 
 
-def share(result: SimulatedDrive, channel: str, keep: Floats | None = None) -> float:
+def share(result: Comparison, channel: str, keep: Mask | None = None) -> float:
     """Rms of measured minus simulated over the measured rms."""
     mask = result.observation.mask if keep is None else result.observation.mask & keep
     measured = result.measured[channel][mask]
@@ -67,7 +70,7 @@ def share(result: SimulatedDrive, channel: str, keep: Floats | None = None) -> f
     return float(np.sqrt(np.mean(left**2) / np.mean(measured**2)))
 
 
-def shares(results: Sequence[SimulatedDrive]) -> dict[str, float]:
+def shares(results: Sequence[Comparison]) -> dict[str, float]:
     """By channel, the mean over drives."""
     return {c: float(np.mean([share(r, c) for r in results])) for c in CHANNELS}
 
@@ -76,7 +79,10 @@ def variants(twin: Twin, quick: bool) -> list[tuple[str, Twin, tuple[str, ...]]]
     """Name, twin to start from, and what is free where it is not all that the twin has."""
     fine = refined(twin)
     curves = fine.with_changes({f"vehicle.{axle}.linkage": None for axle in AXLES})
-    own = lambda t: (*curve_keys(t), *INERTIAS)  # noqa: E731
+
+    def own(t: Twin) -> tuple[str, ...]:
+        return (*curve_keys(t), *INERTIAS)
+
     out = [
         ("springs of the file", twin, own(twin)),
         ("fine springs", curves, own(curves)),
@@ -87,10 +93,10 @@ def variants(twin: Twin, quick: bool) -> list[tuple[str, Twin, tuple[str, ...]]]
     return out
 
 
-def filters(results: Sequence[SimulatedDrive], held: Sequence[SimulatedDrive]) -> dict[str, float]:
+def filters(results: Sequence[Comparison], held: Sequence[Comparison]) -> dict[str, float]:
     """Share that FIR filters of the road, fitted on ``results``, leave of the ``held`` drives; ridge by their noise."""
 
-    def columns(r: SimulatedDrive) -> Floats:
+    def columns(r: Comparison) -> Floats:
         road = r.observation.road_excitation
         heights = road.road[road.first[1:] - 1]
         moved = [np.interp(r.t - lag, road.t, z) for z in heights.T for lag in LAGS]
@@ -113,21 +119,23 @@ def filters(results: Sequence[SimulatedDrive], held: Sequence[SimulatedDrive]) -
     return out
 
 
-def by_band(results: Sequence[SimulatedDrive], channel: str) -> list[tuple[float, float]]:
+def by_band(results: Sequence[Comparison], channel: str) -> list[tuple[float, float]]:
     """For each band its part of the residual's power, and the residual there over the motion there."""
     power = np.zeros((2, len(BANDS)))
     for r in results:
         mask = r.observation.mask
         for row, signal in enumerate((r.measured[channel] - r.simulated[channel], r.measured[channel])):
             for b, (low, high) in enumerate(BANDS):
-                kind = "lowpass" if low == 0 else "bandpass"
-                edge = high if low == 0 else [low, min(high, 0.49 * r.observation.rate)]
-                sos = butter(4, edge, kind, fs=r.observation.rate, output="sos")
+                rate = r.observation.rate
+                if low == 0.0:
+                    sos = butter(4, high, "lowpass", fs=rate, output="sos")
+                else:
+                    sos = butter(4, [low, min(high, 0.49 * rate)], "bandpass", fs=rate, output="sos")
                 power[row, b] += np.mean(sosfiltfilt(sos, signal)[mask] ** 2)
     return [(power[0, b] / power[0].sum(), np.sqrt(power[0, b] / power[1, b])) for b in range(len(BANDS))]
 
 
-def near_bumps(r: SimulatedDrive) -> Floats:
+def near_bumps(r: Comparison) -> Mask:
     """Samples at most ``AFTER`` s behind a bump under a front wheel."""
     road = r.observation.road_excitation
     heights = road.road[road.first[1:] - 1][:, :2]
@@ -152,7 +160,7 @@ def run(case: Path, held_out: Sequence[str], quick: bool, tell: Console) -> dict
     for title in ("twin calibrated on " + ", ".join(fitted), *(c.replace("_", " ") for c in CHANNELS)):
         table.add_column(title)
     document: dict[str, object] = {}
-    last: list[SimulatedDrive] = []
+    last: list[Comparison] = []
     for name, start, free in variants(twin, quick):
         found = calibrate(start, [str(case / n) for n in fitted], free=free).twin
         results = [simulate(case / n, found) for n in held_out]
@@ -192,12 +200,9 @@ def main() -> None:
     parser.add_argument("--held-out", nargs="+", default=["drive_fast", "drive_other"])
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--quick", action="store_true")
-    given = parser.parse_args()
+    given = parse_options(parser, quick=True)
     if not (given.case / "twin.yaml").is_file():
-        print(
-            f"{given.case}: has no twin.yaml; name a folder with a twin, a road and drives", file=sys.stderr
-        )
-        raise SystemExit(2)
+        unavailable(f"{given.case}: has no twin.yaml; name a folder with a twin, a road and drives")
     tell = Console(stderr=given.json)
     document = run(given.case, given.held_out, given.quick, tell)
     if given.json:

@@ -16,6 +16,7 @@ TABLES = {
     "blind": r"picture: ",
     "calibration": r"pymoo GA",
     "diagnosis": r"two drives with the gap +library .* s, processor",
+    "discrepancy": r"linear filters of the road",
     "export": r"communication step, ms +times real time",
     "fleet": r"sound vehicles named",
     "fleet_scaling": r"One core is full in the scheduler at",
