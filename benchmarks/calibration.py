@@ -25,7 +25,7 @@ import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from calibration_cases import (
@@ -42,6 +42,7 @@ from calibration_cases import (
 )
 from calibration_judge import judged_by, same_question, traced
 from calibration_peers import draw, peers
+from options import parse_options
 from rich.console import Console
 from rich.table import Table
 
@@ -91,11 +92,11 @@ def evaluations(folder: Path, seeds: Sequence[int]) -> dict[str, Any]:
                 "share": there[0][0] / paper.evaluations if there else None,
             }
         )
-    shares = [row["share"] for row in rows]
+    shares = [row["share"] for row in rows if row["share"] is not None]
     return {
-        "within_a_tenth": sum(s is not None and s <= 0.1 for s in shares),
+        "within_a_tenth": sum(s <= 0.1 for s in shares),
         "vehicles": len(rows),
-        "worst_share": max(shares) if all(s is not None for s in shares) else None,
+        "worst_share": max(shares) if len(shares) == len(rows) else None,
         "by_vehicle": rows,
     }
 
@@ -166,7 +167,7 @@ def accuracy(folder: Path, seeds: Sequence[int]) -> dict[str, Any]:
 def gap_on(bag: Path, twin: Twin, placed: Twin) -> float:
     """Gap in m/s² of a twin on a drive, on the road of ``placed``."""
     there = observe(read_drive(bag), twin.model_copy(update={"road": placed.road}))
-    return there.gap(there.condition(simulate_twin(twin, there.excitation))).rms
+    return there.gap(there.condition(simulate_twin(twin, there.road_excitation))).rms
 
 
 def force_error_along(result: CalibrationResult, truth: Twin, index: int) -> float:
@@ -249,9 +250,10 @@ def show(console: Console, results: dict[str, Any]) -> None:
 
 
 def _print(console: Console, title: str, columns: list[str], rows: list[list[Any]]) -> None:
-    table = Table(title=title, title_justify="left", title_style="bold")
+    table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
     for name in columns:
-        table.add_column(name.replace("_", " "), justify="right" if name != columns[0] else "left")
+        side: Literal["left", "right"] = "left" if name == columns[0] else "right"
+        table.add_column(name.replace("_", " "), justify=side, overflow="fold")
     for row in rows:
         table.add_row(*(_cell(v) for v in row))
     console.print(table)
@@ -271,7 +273,7 @@ def main() -> None:
     parser.add_argument("--seeds", choices=FIRST_SEED, default="reporting")
     parser.add_argument("--peer-seconds", type=float, default=60.0, help="time each peer is given")
     parser.add_argument("--picture", type=Path, help="where to draw the peers (.png, .svg)")
-    given = parser.parse_args()
+    given = parse_options(parser, vehicles=1, peer_seconds=1.0, only=["evaluations", "accuracy", "peers"])
     console = Console(stderr=given.json, highlight=False)
     seeds = range(FIRST_SEED[given.seeds], FIRST_SEED[given.seeds] + given.vehicles)
     results: dict[str, Any] = {"seeds": list(seeds)}

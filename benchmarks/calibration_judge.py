@@ -28,7 +28,7 @@ _ONE_CHANNEL = (("vertical_acceleration", 1.0),)
 
 def same_question(case: Case, preset: str, seed: int, **more: Any) -> CalibrationRequest:
     """One drive, the paper's 24 points, eq. (1) and the clock: what both presets can be asked alike."""
-    asked = (
+    asked: dict[str, Any] = (
         {}
         if preset == "paper"
         else {

@@ -13,10 +13,12 @@ from calibration_cases import PASS, bump, within_table_2, write_case
 from calibration_judge import judged_by, same_question, traced
 from plain_car import PlainCar
 
+from suspension_twin.arrays import Floats
 from suspension_twin.calibration.request import Progress
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.calibration.searches import costs_of
 from suspension_twin.calibration.setup import set_up
+from suspension_twin.inference.problem import Problem
 from suspension_twin.inference.synthetic import SensorErrors
 from suspension_twin.models.parameters import twin_value
 from suspension_twin.vehicle.twin import Twin, load_twin
@@ -103,33 +105,35 @@ def draw(found: dict[str, Any], path: Path) -> None:
     figure.savefig(path, dpi=130)
 
 
-def _scipy(
-    batch: Callable[[np.ndarray], np.ndarray], lower: Any, upper: Any, seconds: float
-) -> dict[str, Any]:
-    from scipy.optimize import differential_evolution
+def _scipy(batch: Callable[[Floats], Floats], lower: Floats, upper: Floats, seconds: float) -> dict[str, Any]:
+    from scipy.optimize import Bounds, differential_evolution
 
     counted = Counted(seconds)
 
-    def cost(x: np.ndarray) -> np.ndarray:
+    def cost(x: Floats) -> Any:
         values = batch(x.reshape(len(lower), -1))
         counted.note(values)
         return values
 
+    def look(x: Floats, convergence: object) -> None:
+        if counted.over:
+            raise StopIteration
+
     differential_evolution(
         cost,
-        list(zip(lower, upper, strict=True)),
+        Bounds(lower, upper),
         seed=1,
         vectorized=True,
         updating="deferred",
         polish=False,
         popsize=4,
         maxiter=10_842 // (4 * len(lower)),
-        callback=lambda *a: counted.over,
+        callback=look,
     )
     return _told(counted)
 
 
-def _pymoo(problem: Any, twin: Twin, seconds: float) -> dict[str, Any]:
+def _pymoo(problem: Problem, twin: Twin, seconds: float) -> dict[str, Any]:
     from pymoo.algorithms.soo.nonconvex.ga import GA
     from pymoo.core.problem import ElementwiseProblem
     from pymoo.optimize import minimize
@@ -137,13 +141,13 @@ def _pymoo(problem: Any, twin: Twin, seconds: float) -> dict[str, Any]:
 
     counted = Counted(seconds)
     part, rows = problem.data.parts[0], problem.data.rows[0]
-    car = PlainCar(twin, part.excitation)
+    car = PlainCar(twin, part.road_excitation)
     wanted = part.measured["vertical_acceleration"][rows]
 
     class Plain(ElementwiseProblem):  # type: ignore[misc]
         def _evaluate(self, x: np.ndarray, out: dict[str, Any], *args: Any, **kwargs: Any) -> None:
             candidate = problem.space.applied(twin, np.asarray(x))
-            signal = part.conditioner.apply(car.simulate(candidate.vehicle))[rows]
+            signal = part.grid.apply(car.simulate(candidate.vehicle))[rows]
             out["F"] = float(np.sqrt(np.sum((signal - wanted) ** 2)))
             counted.note(np.array([out["F"]]))
 

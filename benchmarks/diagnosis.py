@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a diagnosis costs: two drives, 135 s in all, with the whole library.
 
-    python benchmarks/diagnosis.py [--json]
+    python benchmarks/diagnosis.py [--seconds S] [--json]
 
 A car of the development seeds is driven over its road twice at a slow pace (``blind/newton.py``, which shares nothing
 with the package's models), with a clock that is late. The command line diagnoses it in processes of their own: both
@@ -29,6 +29,7 @@ from blind import newton, phone  # noqa: E402
 from blind.folder import road_file, twin_file  # noqa: E402
 from blind.plan import Spec  # noqa: E402
 from blind.world import Plan, World, drive_plan, make_world  # noqa: E402
+from options import parse_options  # noqa: E402
 
 from suspension_twin.drive.write import write_drive  # noqa: E402
 from suspension_twin.road import write_road  # noqa: E402
@@ -40,8 +41,8 @@ LATE = {"time_offset": {"offset": 0.02}}
 BARS = {"seconds": 90.0, "memory_mb": 2000.0}
 
 
-def paced(number: int) -> Plan:
-    """A drive over the whole road that takes about ``SECONDS`` s."""
+def paced(number: int, seconds: float) -> Plan:
+    """A drive over the whole road that takes about ``seconds`` s."""
 
     def at(pace: float) -> Plan:
         return drive_plan(np.random.default_rng([SEED, number]), 0.8 * pace, 1.2 * pace, number, SEED, 0.0)
@@ -49,16 +50,16 @@ def paced(number: int) -> Plan:
     low, high = 1.0, 10.0
     for _ in range(20):
         pace = 0.5 * (low + high)
-        low, high = (pace, high) if at(pace).seconds > SECONDS else (low, pace)
+        low, high = (pace, high) if at(pace).seconds > seconds else (low, pace)
     return at(low)
 
 
-def make(world: World, folder: Path) -> float:
-    """Write twin file, road and drives of a case; returns the seconds of the drives together."""
+def make(world: World, folder: Path, seconds: float) -> float:
+    """Write twin file, road and drives (``seconds`` s each) of a case; returns the seconds of the drives together."""
     spec = Spec("slow", "single", ("time_offset",), 5.0, SEED, "newton", reference=True)
     total = 0.0
     for number, (name, faults) in enumerate({"fault": LATE, "more": LATE, "before": {}}.items()):
-        plan = paced(number % 2)
+        plan = paced(number % 2, seconds)
         motion = newton.run(world, plan, {})
         write_drive(phone.record(world, plan, motion, faults, name), folder / name)
         total += plan.seconds if name != "before" else 0.0
@@ -89,22 +90,24 @@ def timed(folder: Path, drives: list[str]) -> dict[str, Any]:
 def main() -> None:
     """Time the diagnoses and print a table, or with ``--json`` the same figures."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seconds", type=float, default=SECONDS, help="of each drive")
     parser.add_argument("--json", action="store_true")
-    options = parser.parse_args()
+    options = parse_options(parser, seconds=15.0)
     with tempfile.TemporaryDirectory(prefix="diagnosis_") as name:
         folder = Path(name)
         world = make_world(SEED)
-        driven = make(world, folder)
+        driven = make(world, folder, options.seconds)
         ways = {
             "two drives with the gap": [str(folder / "fault"), str(folder / "more")],
             "one, and one from before": [str(folder / "fault"), "--reference", str(folder / "before")],
         }
+        few = ["--effect", "time_offset", "--effect", "clock_drift"] if options.smoke else []
         timed(
             folder, [*ways["two drives with the gap"], "--effect", "time_offset"]
         )  # whatever has to be compiled
         found = {
             way: {
-                "library": timed(folder, drives),
+                "library": timed(folder, [*drives, *few]),
                 "alone": timed(folder, [*drives, "--effect", "time_offset"]),
             }
             for way, drives in ways.items()

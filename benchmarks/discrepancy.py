@@ -19,12 +19,13 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from extras import unavailable
 from numpy.typing import NDArray
+from options import parse_options
 from rich.console import Console
 from rich.table import Table
 from scipy.signal import butter, sosfiltfilt
@@ -37,6 +38,7 @@ from suspension_twin.inference.space import curve_keys
 from suspension_twin.vehicle.corners import AXLES
 from suspension_twin.vehicle.twin import Twin, load_twin
 
+Mask = NDArray[np.bool_]
 CHANNELS = ("vertical_acceleration", "roll_rate", "pitch_rate")
 BANDS = ((0.0, 1.0), (1.0, 4.0), (4.0, 10.0), (10.0, 20.0))
 INERTIAS = ("vehicle.sprung_inertia.roll", "vehicle.sprung_inertia.pitch")
@@ -60,9 +62,9 @@ def default_case() -> Path:
     return data / "no_effect_added"
 
 
-def share(result: Comparison, channel: str) -> float:
+def share(result: Comparison, channel: str, keep: Mask | None = None) -> float:
     """Rms of measured minus simulated over the measured rms."""
-    mask = result.observation.mask
+    mask = result.observation.mask if keep is None else result.observation.mask & keep
     measured = result.measured[channel][mask]
     left = measured - result.simulated[channel][mask]
     return float(np.sqrt(np.mean(left**2) / np.mean(measured**2)))
@@ -73,16 +75,20 @@ def shares(results: Sequence[Comparison]) -> dict[str, float]:
     return {c: float(np.mean([share(r, c) for r in results])) for c in CHANNELS}
 
 
-def variants(twin: Twin, smoke: bool) -> list[tuple[str, Twin, tuple[str, ...]]]:
+def variants(twin: Twin, quick: bool) -> list[tuple[str, Twin, tuple[str, ...]]]:
     """Name, twin to start from, and what is free where it is not all that the twin has."""
     fine = refined(twin)
     curves = fine.with_changes({f"vehicle.{axle}.linkage": None for axle in AXLES})
-    out: list[tuple[str, Twin, tuple[str, ...]]] = [
-        (name, start, (*curve_keys(start), *INERTIAS))
-        for name, start in (("springs of the file", twin), ("fine springs", curves))
+
+    def own(t: Twin) -> tuple[str, ...]:
+        return (*curve_keys(t), *INERTIAS)
+
+    out = [
+        ("springs of the file", twin, own(twin)),
+        ("fine springs", curves, own(curves)),
+        ("links", fine, ()),
     ]
-    out.append(("links", fine, ()))
-    if not smoke:
+    if not quick:
         out += [(f"links, {name}", fine.with_changes(keys), ()) for name, keys in FURTHER.items()]
     return out
 
@@ -121,15 +127,15 @@ def by_band(results: Sequence[Comparison], channel: str) -> list[tuple[float, fl
         for row, signal in enumerate((r.measured[channel] - r.simulated[channel], r.measured[channel])):
             for b, (low, high) in enumerate(BANDS):
                 rate = r.observation.rate
-                if low == 0:
+                if low == 0.0:
                     sos = butter(4, high, "lowpass", fs=rate, output="sos")
                 else:
-                    sos = butter(4, (low, min(high, 0.49 * rate)), "bandpass", fs=rate, output="sos")
+                    sos = butter(4, [low, min(high, 0.49 * rate)], "bandpass", fs=rate, output="sos")
                 power[row, b] += np.mean(sosfiltfilt(sos, signal)[mask] ** 2)
     return [(power[0, b] / power[0].sum(), np.sqrt(power[0, b] / power[1, b])) for b in range(len(BANDS))]
 
 
-def near_bumps(r: Comparison) -> NDArray[np.bool_]:
+def near_bumps(r: Comparison) -> Mask:
     """Samples at most ``AFTER`` s behind a bump under a front wheel."""
     road = r.observation.road_excitation
     heights = road.road[road.first[1:] - 1][:, :2]
@@ -141,11 +147,11 @@ def near_bumps(r: Comparison) -> NDArray[np.bool_]:
     return np.asarray((last >= 0) & (r.t - times[np.maximum(last, 0)] <= AFTER))
 
 
-def run(case: Path, held_out: Sequence[str], smoke: bool, tell: Console) -> dict[str, dict[str, float]]:
+def run(case: Path, held_out: Sequence[str], quick: bool, tell: Console) -> dict[str, object]:
     """All figures of one case."""
     twin = load_twin(case / "twin.yaml")
     names = sorted(p.parent.name for p in case.glob("*/metadata.yaml"))
-    fitted = [n for n in names if n not in held_out][: 1 if smoke else None]
+    fitted = [n for n in names if n not in held_out][: 1 if quick else None]
     if not fitted or not set(held_out) <= set(names):
         raise SystemExit(
             f"{case}: has the drives {', '.join(names)}: hold out some of them and fit on the others"
@@ -153,17 +159,16 @@ def run(case: Path, held_out: Sequence[str], smoke: bool, tell: Console) -> dict
     table = Table(title=f"{case.name}: share of the motion of {', '.join(held_out)} that is left")
     for title in ("twin calibrated on " + ", ".join(fitted), *(c.replace("_", " ") for c in CHANNELS)):
         table.add_column(title)
-    document: dict[str, dict[str, float]] = {}
+    document: dict[str, object] = {}
     last: list[Comparison] = []
-    basis: list[Comparison] = []
-    for name, start, free in variants(twin, smoke):
+    for name, start, free in variants(twin, quick):
         found = calibrate(start, [str(case / n) for n in fitted], free=free).twin
         results = [simulate(case / n, found) for n in held_out]
-        row = document[name] = shares(results)
+        document[name] = row = shares(results)
         table.add_row(name, *(f"{100 * row[c]:.1f} %" for c in CHANNELS))
         if name == "links":
             last, basis = results, [simulate(case / n, found) for n in fitted]
-    row = document["filters"] = filters(basis, last)
+    document["filters"] = row = filters(basis, last)
     table.add_row("linear filters of the road", *(f"{100 * row[c]:.1f} %" for c in CHANNELS))
     tell.print(table)
     bands = Table(
@@ -194,15 +199,12 @@ def main() -> None:
     parser.add_argument("case", nargs="?", type=Path, default=default_case())
     parser.add_argument("--held-out", nargs="+", default=["drive_fast", "drive_other"])
     parser.add_argument("--json", action="store_true")
-    parser.add_argument("--smoke", action="store_true")
-    given = parser.parse_args()
+    parser.add_argument("--quick", action="store_true")
+    given = parse_options(parser, quick=True)
     if not (given.case / "twin.yaml").is_file():
-        print(
-            f"{given.case}: has no twin.yaml; name a folder with a twin, a road and drives", file=sys.stderr
-        )
-        raise SystemExit(2)
+        unavailable(f"{given.case}: has no twin.yaml; name a folder with a twin, a road and drives")
     tell = Console(stderr=given.json)
-    document = run(given.case, given.held_out, given.smoke, tell)
+    document = run(given.case, given.held_out, given.quick, tell)
     if given.json:
         print(json.dumps(document, indent=2))
 

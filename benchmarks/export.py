@@ -20,11 +20,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from extras import unavailable
 from fmu_importers import columns, walk_2, walk_3  # first: says what is missing
-from rich.console import Console
+from options import parse_options
 from rich.table import Table
 
 from suspension_twin.addons.export.registry import ExportSettings, export_twin
+from suspension_twin.cli.common import output
 from suspension_twin.drive.read import read_drive
 from suspension_twin.inference.observation import observe
 from suspension_twin.models.connectors import OUTPUTS
@@ -64,7 +66,7 @@ def compared(folder: Path) -> list[dict[str, Any]]:
     for drive in DRIVES:
         path = HERE.parent / "bags" / drive
         twin = load_twin(path / "twin.yaml")
-        driven = observe(read_drive(path), twin).excitation
+        driven = observe(read_drive(path), twin).road_excitation
         for name, one in variants(twin).items():
             wanted = columns(simulate_twin(one, driven))
             for version, walk in (("2.0", walk_2), ("3.0", walk_3)):
@@ -112,17 +114,16 @@ def main() -> int:
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--seconds", type=float, default=200.0, help="simulated seconds of each timed run")
     parser.add_argument("--repeats", type=int, default=5)
-    options = parser.parse_args()
+    options = parse_options(parser, repeats=1)
     if shutil.which("cc") is None:
-        print("export.py: needs a C compiler, cc", file=sys.stderr)
-        return 2
+        unavailable("needs a C compiler, cc")
     with tempfile.TemporaryDirectory() as folder:
         found = compared(Path(folder))
         speed = timed(Path(folder), options.seconds, options.repeats)
     if options.json:
         print(json.dumps({"compared": found, "speed": speed}))
         return 0
-    console = Console()
+    console = output()
     table = Table("drive", "twin", "FMI", "problems", "difference / motion", "output", "kB", box=None)
     for row in found:
         cells = row["drive"], row["twin"], row["fmi"], str(row["problems"]), f"{row['share_of_motion']:.1e}"
@@ -132,7 +133,8 @@ def main() -> int:
     table = Table("twin", "communication step, ms", "times real time, one core", box=None)
     for row in speed:
         table.add_row(row["twin"], f"{1e3 * row['step']:g}", f"{row['times_real_time']:.0f}")
-    console.print("\nSpeed", style="bold")
+    console.print()
+    console.print("Speed", style="bold")
     console.print(table)
     return 0
 

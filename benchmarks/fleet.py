@@ -37,6 +37,7 @@ from typing import Any
 
 import numpy as np
 import psutil
+from options import parse_options
 
 #: As docs/fleet.md has it for workers of a scheduler of one's own.
 ENVIRONMENT = {
@@ -295,10 +296,10 @@ def run(
                         process.wait(120.0)
                     break
                 if kill_every and now >= next_kill:
-                    there = worker_processes(apart.workers.pid if apart else process.pid)
-                    if there:
+                    alive = worker_processes(apart.workers.pid if apart else process.pid)
+                    if alive:
                         with suppress(psutil.NoSuchProcess):
-                            chance.choice(there).send_signal(signal.SIGKILL)
+                            chance.choice(alive).send_signal(signal.SIGKILL)
                             kills += 1
                     next_kill = now + kill_every
                 if apart:
@@ -433,9 +434,11 @@ def _told(row: dict[str, Any]) -> str:
 
 def _verdict(row: dict[str, Any]) -> str:
     """What was found, in words."""
+    off = row["largest_date_error_drives"]
+    dates = "" if off is None else f", dates off by at most {off} drives"
     return (
-        f"{row['found']} of {row['faults']} faults found, dates off by at most {row['largest_date_error_drives']} "
-        f"drives; {row['false']} of {row['sound']} sound vehicles named"
+        f"{row['found']} of {row['faults']} faults found{dates}; {row['false']} of {row['sound']} sound vehicles "
+        "named"
     )
 
 
@@ -458,7 +461,7 @@ def main() -> None:
     parser.add_argument("--budget", type=float, default=LONGEST, metavar="S", help="s of a run at most")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", action="store_true", help="figures as one JSON object")
-    options = parser.parse_args()
+    options = parse_options(parser, vehicles=1, faults=0, drives=4, seconds=10.0, workers=[1])
 
     def say(text: str) -> None:
         if not options.json:

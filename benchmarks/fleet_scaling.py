@@ -28,6 +28,7 @@ from typing import Any
 
 import psutil
 from fleet import ENVIRONMENT, bare, free_port, make_fleet
+from options import parse_options
 
 #: Workers that share a process: their event loops cost one core together.
 EACH = 50
@@ -39,17 +40,15 @@ ARRIVAL = 120.0
 
 def hold_workers(address: str, count: int, length: float, record_file: str) -> None:
     """Workers that sleep, until the scheduler is gone."""
-    from distributed import Worker
+    from unittest.mock import patch
 
-    from suspension_twin.addons.fleet import engine
+    from distributed import Worker
 
     record = json.loads(Path(record_file).read_text(encoding="utf-8"))
 
     def asleep(task: Any) -> dict[str, Any]:
         time.sleep(length)
         return {**record, "key": task.key}
-
-    engine.work = asleep  # type: ignore[assignment]
 
     here: dict[str, Any] = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "dashboard": False}
     kinds = {"nthreads": 1, "memory_limit": 0, **here}
@@ -59,7 +58,8 @@ def hold_workers(address: str, count: int, length: float, record_file: str) -> N
         await asyncio.gather(*workers)
         await asyncio.gather(*(w.finished() for w in workers))
 
-    asyncio.run(hold())
+    with patch("suspension_twin.addons.fleet.engine.work", asleep):
+        asyncio.run(hold())
 
 
 @contextmanager
@@ -71,19 +71,20 @@ def cluster(workers: int, length: float, folder: Path) -> Iterator[tuple[Any, di
     address = f"tcp://127.0.0.1:{port}"
     environment = os.environ | ENVIRONMENT | {"DASK_DISTRIBUTED__SCHEDULER__WORK_STEALING": "False"}
     with (folder / "dask.log").open("ab") as log:
-        to_log = {"stdout": log, "stderr": log, "env": environment, "cwd": folder}
+
+        def start(*words: str) -> subprocess.Popen[bytes]:
+            return subprocess.Popen(
+                [sys.executable, *words], stdout=log, stderr=log, env=environment, cwd=folder
+            )
+
         words = ["-m", "dask", "scheduler", "--host", "127.0.0.1", "--port", str(port)]
         words += ["--no-dashboard", "--dashboard-address", "127.0.0.1:0"]
-        scheduler = subprocess.Popen([sys.executable, *words], **to_log)
+        scheduler = start(*words)
         holders = [
-            subprocess.Popen(
-                [
-                    sys.executable,
-                    str(Path(__file__).resolve()),
-                    *("--hold", address, str(min(EACH, workers - first)), str(length)),
-                    str(folder / "record.json"),
-                ],
-                **to_log,
+            start(
+                str(Path(__file__).resolve()),
+                *("--hold", address, str(min(EACH, workers - first)), str(length)),
+                str(folder / "record.json"),
             )
             for first in range(0, workers, EACH)
         ]
@@ -210,8 +211,8 @@ def told(found: dict[str, Any]) -> str:
 def main() -> int:
     """Measure, print, draw."""
     if "--hold" in sys.argv:
-        address, count, length, record = sys.argv[2:6]
-        hold_workers(address, int(count), float(length), record)
+        address, count, seconds, record = sys.argv[2:6]
+        hold_workers(address, int(count), float(seconds), record)
         return 0
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -223,7 +224,7 @@ def main() -> int:
     parser.add_argument("--plot", type=Path, metavar="FILE")
     parser.add_argument("--from", dest="known", type=Path, metavar="FILE")
     parser.add_argument("--json", action="store_true", help="figures as one JSON object")
-    options = parser.parse_args()
+    options = parse_options(parser, workers=[1], length=[0.1])
     if options.known:
         found = json.loads(options.known.read_text(encoding="utf-8"))
     else:

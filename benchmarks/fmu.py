@@ -5,7 +5,7 @@ The other code is ``other_car.c``: seven degrees of freedom, linear, Runge-Kutta
 with the same numbers drives over the bundled speed bump with a simulated phone and receiver; the FMU's springs and
 dampers are then searched from wrong values.
 
-Usage: ``python benchmarks/fmu.py [--json] [--generations N]``.
+Usage: ``python benchmarks/fmu.py [--json] [--generations N] [--searches NAME ...]``.
 """
 
 from __future__ import annotations
@@ -15,16 +15,18 @@ import json
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from options import parse_options
 from other_car import STIFFNESS, fmu_section, linear_car, other_car, vehicle_of  # first: says what is missing
-from rich.console import Console
 from rich.table import Table
 
 from suspension_twin.calibration.request import CalibrationRequest
 from suspension_twin.calibration.run import calibrate
+from suspension_twin.cli.common import output
 from suspension_twin.drive.write import write_drive
 from suspension_twin.inference.observation import observe
 from suspension_twin.inference.synthetic import synthetic_drive
@@ -64,7 +66,7 @@ def fmu_twin(car: Twin, file: Path, parameters: dict[str, Any]) -> Twin:
     return parse_twin({"model": "fmu", "fmu": section, "vehicle": vehicle_of(car), **data})
 
 
-def measured(folder: Path, generations: int) -> dict[str, Any]:
+def measured(folder: Path, generations: int, searches: Sequence[str]) -> dict[str, Any]:
     """All figures."""
     file, car = folder / "other_car.fmu", linear_car(BUMP / "twin.yaml")
     other_car(file)
@@ -73,7 +75,7 @@ def measured(folder: Path, generations: int) -> dict[str, Any]:
     write_drive(drive, folder / "drive")
     twin = fmu_twin(car, file, STIFFNESS)
     prepared = observe(drive, car, road)
-    run = prepared.excitation
+    run = prepared.road_excitation
     wanted, found = simulate_twin(car, run), simulate_twin(twin, run)
     pairs = ((getattr(found, name), getattr(wanted, name)) for name in QUANTITIES)
     range_ = [float(np.abs(a - b).max() / max(np.ptp(b), 1e-2)) for a, b in pairs]
@@ -93,7 +95,7 @@ def measured(folder: Path, generations: int) -> dict[str, Any]:
         model.step(t, PoseSample(*row))
     out["microseconds_a_live_step"] = 1e6 * (time.perf_counter() - began) / len(rows)
     save_twin(fmu_twin(car, file, START), folder / "twin.yaml")
-    out["searches"] = [searched(name, folder, generations, chosen) for name, chosen in SEARCHES.items()]
+    out["searches"] = [searched(name, folder, generations, SEARCHES[name]) for name in searches]
     return out
 
 
@@ -124,13 +126,15 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--generations", type=int, default=15, help="of each population search at most")
-    options = parser.parse_args()
+    named = {name.partition(",")[0]: name for name in SEARCHES}
+    parser.add_argument("--searches", nargs="+", choices=list(named), default=list(named))
+    options = parse_options(parser, generations=1, searches=["fast"])
     with tempfile.TemporaryDirectory() as folder:
-        found = measured(Path(folder), options.generations)
+        found = measured(Path(folder), options.generations, [named[n] for n in options.searches])
     if options.json:
         print(json.dumps(found))
         return 0
-    console = Console()
+    console = output()
     worst = max(found["difference"], key=found["difference"].get)
     console.print(
         f"Other code beside full_car over {found['seconds']:.0f} s: at most {found['difference'][worst]:.1e} of the "
@@ -138,8 +142,9 @@ def main() -> int:
     )
     console.print(
         f"Candidates: {found['times_real_time_1_threads']:.0f} times real time on one thread, "
-        f"{found['times_real_time_2_threads']:.0f} on two; live {found['microseconds_a_live_step']:.0f} µs a step\n"
+        f"{found['times_real_time_2_threads']:.0f} on two; live {found['microseconds_a_live_step']:.0f} µs a step"
     )
+    console.print()
     table = Table(
         "preset or objective",
         *(f"{key} %" for key in STIFFNESS),

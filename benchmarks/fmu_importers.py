@@ -11,7 +11,7 @@ from extras import missing
 
 from suspension_twin.arrays import Floats
 from suspension_twin.models.connectors import INPUTS, OUTPUTS, inputs_of
-from suspension_twin.models.types import Excitation, Response
+from suspension_twin.models.types import Excitation, Ints, Response
 
 try:
     from fmpy import extract, read_model_description
@@ -29,7 +29,7 @@ Answers = ctypes.c_double * len(OUTPUTS)
 Asked = ctypes.c_uint32 * len(OUTPUTS)
 
 
-def walked(driven: Excitation) -> tuple[Floats, Floats, Floats]:
+def walked(driven: Excitation) -> tuple[Floats, Floats, Ints]:
     """Times (m,) s from the start, inputs (m, 10) there, and which of the rows (n,) are stamps of the drive."""
     at = np.arange(len(driven)).repeat(np.maximum(driven.substeps, 1))
     # stamps of seconds since 1970 resolve a fraction of a microsecond: steps are summed up instead
@@ -95,7 +95,8 @@ def walk_3(path: Path, driven: Excitation) -> Floats:
         strange.extend([time] if not set_requested or abs(t[row] - time) > 1e-9 else [])
         fmu.fmi3SetFloat64(fmu.component, which, len(INPUTS), Numbers(*inputs[row]), len(INPUTS))
 
-    asked_for, strange = [0], []  # rows so far; times that are no ends of steps
+    asked_for = [0]  # rows so far
+    strange: list[float] = []  # times that are no ends of steps
     fmu.instantiate(intermediateUpdate=update)
     out = np.empty((len(driven), len(OUTPUTS)))
     fmu.enterInitializationMode(startTime=0.0)

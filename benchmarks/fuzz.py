@@ -32,6 +32,8 @@ from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
+from options import parse_options
+
 PATIENCE = 5.0  # s
 TOKEN = "fuzzing-fuzzing"
 #: What stands in for a value of JSON.
@@ -344,7 +346,7 @@ def attack_parsers(rounds: int, seed: int) -> dict[str, int]:
     """Mutated bytes for everything else that reads from outside; how many pieces each took. Raises what they raise."""
     from suspension_twin.addons.sources import make_sources
     from suspension_twin.addons.sources.common.hub import Hub
-    from suspension_twin.errors import InputError
+    from suspension_twin.addons.sources.common.receiver import Receiver
 
     rng, hub = random.Random(seed), Hub()
     nmea = b"$GNRMC,120044.10,A,4724.15,N,01917.04,E,8.1,45.2,010124,,,R*00\r\n$GNGGA,120044.10,4724.15,N,01917.04,E,"
@@ -368,20 +370,61 @@ def attack_parsers(rounds: int, seed: int) -> dict[str, int]:
     }
     taken: Counter[str] = Counter()
     receivers = make_sources(["nmea://h:1", "ubx://h:1?heading=0", "gpsd://h"], hub)
-    (phone,) = make_sources(["sensorserver://h"], hub)
     for k in range(rounds):
         for source, data in zip(receivers, (nmea, ubx, tpv), strict=True):
+            assert isinstance(source, Receiver)
             source.feed(mutated_bytes(rng, data), 1.7e9 + k)
             source.feed(data, 1.7e9 + k)
             taken[type(source).__name__] += 1
-        for take, whole in ((phone._take, event), (phone._take_location, gps | {"time": 1.7e12})):
-            with contextlib.suppress(KeyError, TypeError, ValueError, IndexError, OverflowError, InputError):
-                changed = mutated_object(rng, json.loads(json.dumps(whole)))
-                if isinstance(changed, dict):
-                    take(changed, 1.7e9 + k)
-            taken["SensorServer"] += 1
         hub.take(), hub.events()
+    messages = {
+        page: [json.dumps(mutated_object(rng, deepcopy(whole))) for _ in range(rounds)]
+        for page, whole in (("/sensors/connect", event), ("/gps", gps | {"time": 1.7e12}))
+    }
+    taken["SensorServer"] = asyncio.run(attack_phone(messages))
     return dict(taken)
+
+
+async def attack_phone(messages: dict[str, list[str]]) -> int:
+    """Send these messages, by page, as the app SensorServer does, until all are read; their number. RuntimeError where
+    the source failed over one."""
+    from aiohttp import web
+
+    from suspension_twin.addons.sources import make_sources
+    from suspension_twin.addons.sources.common.hub import Hub
+    from suspension_twin.addons.sources.common.runner import running
+
+    hub, left = Hub(), {page: iter(own) for page, own in messages.items()}
+    read = {page: asyncio.Event() for page in messages}
+
+    async def serve(request: web.Request) -> web.WebSocketResponse:
+        connection = web.WebSocketResponse(compress=False)
+        await connection.prepare(request)
+        count = 0
+        with contextlib.suppress(ConnectionError):  # it hangs up on a message that is too long
+            for text in left[request.path]:
+                await connection.send_str(text)
+                count += 1
+        if not count:  # it comes again once it has read all of the connection before
+            read[request.path].set()
+        await connection.close()
+        return connection
+
+    app = web.Application()
+    app.add_routes([web.get(page, serve) for page in messages])
+    runner = web.AppRunner(app, access_log=None, shutdown_timeout=0.1)
+    await runner.setup()
+    try:
+        await web.TCPSite(runner, "127.0.0.1", 0).start()
+        sources = make_sources([f"sensorserver://127.0.0.1:{runner.addresses[0][1]}"], hub)
+        async with running(sources, hub):
+            await asyncio.gather(*(event.wait() for event in read.values()))
+    finally:
+        await runner.cleanup()
+    failures = [found.text for found in hub.events() if found.code == "source failed"]
+    if failures:
+        raise RuntimeError(failures[0])
+    return sum(map(len, messages.values()))
 
 
 def _checked(body: bytes) -> bytes:
@@ -400,7 +443,7 @@ def main() -> int:
     parser.add_argument("--requests", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", action="store_true", help="one JSON object instead of the table")
-    arguments = parser.parse_args()
+    arguments = parse_options(parser, requests=300)
     result = attack_process(arguments.requests, arguments.seed)
     result["parsers"] = attack_parsers(arguments.requests // 10, arguments.seed)
     good = (

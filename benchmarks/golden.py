@@ -35,6 +35,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -396,6 +397,9 @@ def _live(bag: Path) -> Item:
     drive = read_drive(bag)
     patient = ["--ros-args", "--log-level", "error", "-p", "max_backlog:=3600.0"]
 
+    def hear(name: str, message: Any) -> None:
+        heard[name].append(message.accel.linear.z)
+
     def play() -> float | None:
         with ros_context(patient) as context:
             composed = Composed(context, bag / "twin.yaml", "golden", Playback(drive, math.inf))
@@ -404,7 +408,7 @@ def _live(bag: Path) -> Item:
                 ("measured", "imu_ingest", "imu/vertical_acceleration"),
             ):
                 outputs = composed.nodes[node].outputs[topic]
-                outputs.links.append(lambda m, name=name: heard[name].append(m.accel.linear.z))
+                outputs.links.append(partial(hear, name))
             while not composed.finished:
                 composed.step()
             whole = composed.condition().whole_gap

@@ -27,6 +27,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from extras import unavailable
+from options import parse_options
 
 #: Raw values of the six axes and the registers of their low bytes, little-endian.
 RATE, FORCE = (100, -200, 300), (160, -320, 16384)
@@ -143,14 +145,12 @@ def main() -> int:
     parser.add_argument("package", type=Path, help="the package of a Debian kernel, linux-image-*.deb")
     parser.add_argument("--write", type=Path, help="keep the tree in this file")
     parser.add_argument("--json", action="store_true", help="one JSON object instead of the table")
-    arguments = parser.parse_args()
+    arguments = parse_options(parser)
     missing = [name for name in PROGRAMS if shutil.which(name) is None]
     if missing:
-        print(f"iio_qemu.py: not installed: {', '.join(missing)}", file=sys.stderr)
-        return 2
+        unavailable(f"not installed: {', '.join(missing)}")
     if not arguments.package.is_file():
-        print(f"iio_qemu.py: {arguments.package}: no such file", file=sys.stderr)
-        return 2
+        unavailable(f"{arguments.package}: no such file")
     with tempfile.TemporaryDirectory() as name:
         version, tree = boot(arguments.package, Path(name))
         samples = read(tree, Path(name))

@@ -37,6 +37,7 @@ os.environ.setdefault("ROS_DOMAIN_ID", "88")
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 import numpy as np
+from options import parse_options
 
 #: The twin's p99 may be this many times the relay's.
 BAR = 2.0
@@ -404,7 +405,9 @@ def synthetic_hour(seconds: float, rate: float = 100.0) -> Any:
     turn = rng.normal(0.0, 0.002, (t.size, 3)) + np.array([0.0, 0.0, SPEED / radius])
     at = t[:: int(rate // 10)]
     angle = SPEED / radius * at
-    place = LocalMap(load_twin(twin_file()).datum).to_geodetic(
+    datum = load_twin(twin_file()).datum
+    assert datum is not None
+    place = LocalMap(datum).to_geodetic(
         np.column_stack([radius * np.sin(angle), radius * (1 - np.cos(angle)), np.zeros(at.size)])
     )
     velocity = SPEED * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(at.size)])
@@ -493,7 +496,7 @@ def main() -> int:
     parser.add_argument(
         "--batch", type=float, default=0.0, help="with --source: s between messages; 0: one a sample"
     )
-    arguments = parser.parse_args()
+    arguments = parse_options(parser, seconds=1.0, rounds=1, warm_up=0.5, replay=20.0)
     if arguments.source:
         from live_sources import Load, measure_source, print_source
 

@@ -19,6 +19,7 @@ import json
 import math
 import os
 import time
+from functools import partial
 from typing import Any
 
 os.environ.setdefault("ROS_DOMAIN_ID", "89")
@@ -26,6 +27,7 @@ os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 import numpy as np
 import psutil
+from options import parse_options
 
 SPEED = 10.0
 QUIET = ["--ros-args", "--log-level", "error"]
@@ -39,11 +41,12 @@ class Driver:
     def __init__(self, namespaces: list[str]) -> None:
         import rclpy
         from geometry_msgs.msg import AccelStamped, TwistStamped
-        from rclpy.experimental import EventsExecutor
+        from rclpy.experimental.events_executor import EventsExecutor
+        from rclpy.utilities import get_default_context
         from sensor_msgs.msg import Imu, NavSatFix, NavSatStatus
 
         self.node = rclpy.create_node("driver")
-        self.executor = EventsExecutor(context=rclpy.get_default_context())
+        self.executor = EventsExecutor(context=get_default_context())
         self.executor.add_node(self.node)
         self.imu, self.fix, self.vel = Imu(), NavSatFix(), TwistStamped()
         self.imu.header.frame_id, self.fix.header.frame_id = "imu_link", "gps_link"
@@ -64,7 +67,7 @@ class Driver:
             self.node.create_subscription(
                 AccelStamped,
                 f"/{name}/twin/vertical_acceleration",
-                lambda message, number=number: self._on_answer(number, message),
+                partial(self._on_answer, number),
                 1000,
             )
 
@@ -224,7 +227,7 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=100.0, help="Hz of the IMU")
     parser.add_argument("--seconds", type=float, default=10.0, help="s of every measurement")
     parser.add_argument("--json", action="store_true", help="figures as one JSON object")
-    options = parser.parse_args()
+    options = parse_options(parser, twins=[1], seconds=2.0)
     QUIETLY = options.json
     import rclpy
 

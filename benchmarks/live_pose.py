@@ -19,10 +19,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
+from extras import unavailable
+from options import parse_options
 from rich.table import Table
 
 from suspension_twin.arrays import Floats
+from suspension_twin.cli.common import output
 from suspension_twin.drive.importing import import_drive
 from suspension_twin.drive.types import Drive
 from suspension_twin.pose.lock import PoseLock
@@ -151,11 +153,11 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=data)
     parser.add_argument("--every", type=float, default=9.0, help="s between two starts")
     parser.add_argument("--json", action="store_true")
-    given = parser.parse_args()
+    given = parse_options(parser, every=200.0)
     roof = Place(position=(0.0, 0.0, 1.5), rpy=(0.0111, -0.1180, 3.0476))
     folders = [given.data / name for name in ("rtklibexplorer_GNSS_IMU", "comma2k19_Example_1")]
     if missing := [folder.name for folder in folders if not folder.is_dir()]:
-        raise SystemExit(f"no {' and no '.join(missing)} in {given.data}: name the measured data by --data")
+        unavailable(f"no {' and no '.join(missing)} in {given.data}: name the measured data by --data")
     rtk = car(
         folders[0], "rtklibexplorer_gnss_imu.yaml", roof, Place(frame="gps_link", position=(0.0, 0.0, 2.15))
     )
@@ -185,7 +187,7 @@ def main() -> None:
             if isinstance(values, dict)
         )
         table.add_row(name, str(found["starts"]), *cells)
-    Console().print(table)
+    output().print(table)
 
 
 if __name__ == "__main__":

@@ -91,6 +91,7 @@ def relay(control: Connection) -> None:
 
 def twin(control: Connection) -> None:
     """The four nodes and the source, as ``run --source`` starts them."""
+    from suspension_twin.addons.nodes.source import SourceNode
     from suspension_twin.cli.common import bundled
     from suspension_twin.nodes.composed import Composed
     from suspension_twin.nodes.process import ros_context
@@ -100,7 +101,8 @@ def twin(control: Connection) -> None:
         file = bundled("config", "twins", "ford_mondeo_mk4.yaml")
         composed = Composed(context, file, namespace="twin", sources=[url])
         composed.settle_memory()
-        hub = composed.nodes["source"].hub
+        source = composed.nodes["source"]
+        assert isinstance(source, SourceNode)
         control.send(int(composed.notes[0].rpartition(":")[2].strip("/")))
         while True:
             composed.step()
@@ -108,7 +110,8 @@ def twin(control: Connection) -> None:
                 if control.recv() == "stop":
                     break
                 counts = {
-                    name.removeprefix("phone "): device.counts["imu"] for name, device in hub.devices.items()
+                    name.removeprefix("phone "): device.counts["imu"]
+                    for name, device in source.hub.devices.items()
                 }
                 control.send((time.process_time(), counts))
         composed.close()
@@ -225,10 +228,11 @@ def measure_source(load: Load, seconds: float, rounds: int, warm_up: float) -> d
     rclpy.init(
         args=[], signal_handler_options=SignalHandlerOptions.NO
     )  # a signal ends this program, not only ROS
-    node, answered = rclpy.create_node("listener"), {s: {} for s in ANSWERS}
+    node = rclpy.create_node("listener")
+    answered: dict[str, dict[int, float]] = {s: {} for s in ANSWERS}
 
     def hear(system: str) -> Callable[[Any], None]:
-        kept: dict[int, float] = answered[system]
+        kept = answered[system]
 
         def on_answer(message: Any) -> None:
             stamp = message.header.stamp

@@ -18,6 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from extras import unavailable
+from options import parse_options
 
 PACKAGES = ("@mcap/core@2.2.2", "@foxglove/rosmsg@5", "@foxglove/rosmsg2-serialization@3", "fzstd@0.1")
 HERE = Path(__file__).resolve().parent
@@ -43,7 +45,8 @@ def read_by_core(file: Path, folder: Path) -> dict[str, Any]:
     """What ``@mcap/core`` finds, by topic."""
     (folder / "package.json").write_text('{"private": true, "type": "module"}\n')
     install = ["npm", "install", "--no-audit", "--no-fund", "--silent", *PACKAGES]
-    subprocess.run(install, cwd=folder, check=True)
+    if subprocess.run(install, cwd=folder, capture_output=True).returncode:
+        unavailable(f"npm cannot fetch {', '.join(PACKAGES)}")
     shutil.copy(HERE / "mcap_core.mjs", folder)
     command = ["node", "mcap_core.mjs", str(file)]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
@@ -88,11 +91,10 @@ def main() -> int:
     )
     parser.add_argument("bag", type=Path, nargs="?", default=HERE.parent / "bags" / "bump_15kmh")
     parser.add_argument("--json", action="store_true", help="one JSON object instead of the table")
-    arguments = parser.parse_args()
+    arguments = parse_options(parser)
     missing = [name for name in ("node", "npm") if shutil.which(name) is None]
     if missing:
-        print(f"mcap_core.py: not installed: {', '.join(missing)}", file=sys.stderr)
-        return 2
+        unavailable(f"not installed: {', '.join(missing)}")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         file = recorded(arguments.bag, folder)

@@ -20,6 +20,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from extras import unavailable
+from options import parse_options
 from rich.console import Console
 from rich.table import Table
 
@@ -169,10 +171,10 @@ def main() -> None:
         "--data", type=Path, default=Path(given) if given else ROOT.parent / "shared" / "data"
     )
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
-    options = parser.parse_args()
+    options = parse_options(parser)
     folder = options.data / "rtklibexplorer_GNSS_IMU"
     if not folder.is_dir():
-        raise SystemExit(f"{folder} is not there: name the folder of measured data with --data")
+        unavailable(f"{folder} is not there: name the folder of measured data with --data")
     drive = replace(import_drive([folder], mapping=MAPPING).drive, name="drive")
     with tempfile.TemporaryDirectory() as work:
         whole = diagnose(asked(drive, described(drive), Path(work) / "whole")).document

@@ -19,10 +19,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from options import parse_options
 from peak import arithmetic_peak
 from peers import LinearCar, MujocoCar, NumpyCars, linear
 from plain_car import PlainCar
@@ -170,7 +172,7 @@ def beside_mujoco(twin: Twin, scale: Scale) -> tuple[dict[str, float], list[tupl
         answer = simulate_twin(car, way).acceleration
         error = np.sqrt(np.mean((answer - exact[:: round(0.01 / fine)]) ** 2, axis=0))
         many = candidates(car, scale.lanes)
-        seconds = best(lambda m=many, w=way: simulate_lanes(car, m, w, 1, vertical_only=True), repeats)
+        seconds = best(partial(simulate_lanes, car, many, way, 1, vertical_only=True), repeats)
         rows.append(("full_car, batched", step, float((error / size).max()), scale.lanes * passed / seconds))
     return figures, rows
 
@@ -341,8 +343,7 @@ def main() -> None:
     )
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
     parser.add_argument("--repeats", type=int, default=9, help="tries of each measurement")
-    parser.add_argument("--smoke", action="store_true", help="all of it once, on runs of seconds")
-    arguments = parser.parse_args()
+    arguments = parse_options(parser)
     scale = SMOKE if arguments.smoke else Scale(repeats=max(1, arguments.repeats))
     figures, rows = measure(scale)
     if arguments.json:

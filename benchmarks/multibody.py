@@ -15,15 +15,16 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from extras import unavailable
 from multibody_picture import draw
 from multibody_truth import AXLES, CORNERS, Truth, beyond, read_truth
 from numpy.typing import NDArray
+from options import parse_options
 from rich.console import Console
 from rich.table import Table
 from scipy.signal import butter, sosfiltfilt
@@ -108,15 +109,15 @@ def compare(
 ) -> tuple[dict[str, Any], dict[str, Side], Floats]:
     """One drive under one twin: figures of every signal, the signals, and where along the road (n,) m."""
     prepared = observe(read_drive(folder / name), twin)
-    run = simulate_twin(twin, prepared.excitation)
+    run = simulate_twin(twin, prepared.road_excitation)
     # stamps are those of the IMU: what a stamp t shows happened at t - latency
-    at = truth.at(run.t - prepared.excitation.late - truth.start)
+    at = truth.at(run.t - prepared.road_excitation.late - truth.start)
     both = sides(at, truth, run)
     moving = at["v_fwd"] > MOVING
-    ends = prepared.excitation.first[1:] - 1
+    ends = prepared.road_excitation.first[1:] - 1
     under = np.stack([at[f"zr_{c}"] for c in CORNERS], axis=1)
     figures = {k: agreement(s, prepared.rate, moving) for k, s in both.items()}
-    off = float(np.std((prepared.excitation.road[ends] - under)[moving]))
+    off = float(np.std((prepared.road_excitation.road[ends] - under)[moving]))
     return {"signals": figures, "road_height_rms_off_m": off}, both, at["u"]
 
 
@@ -217,12 +218,11 @@ def main() -> int:
         "--out", type=Path, default=Path("out/multibody"), help="where figures and picture go"
     )
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
-    options = parser.parse_args()
+    options = parse_options(parser)
     try:
         figures, shown = measure(options.data / "no_effect_added")
     except (SuspensionTwinError, OSError) as error:
-        print(f"multibody: {error}", file=sys.stderr)
-        return 2
+        unavailable(str(error))
     options.out.mkdir(parents=True, exist_ok=True)
     text = json.dumps(figures, indent=2, ensure_ascii=False, allow_nan=False)
     (options.out / "multibody.json").write_text(text + "\n", encoding="utf-8")

@@ -41,7 +41,7 @@ def draw(figures: dict[str, Any], shown: dict[str, Any], path: Path) -> None:
     """Write the picture; ``shown`` holds the signals of drive_fast under both twins, and where they were."""
     with style.using():
         fig = style.figure(13.0, 13.5)
-        top, bottom = fig.subfigures(2, 1, height_ratios=[2.2, 1.0])
+        top, bottom = fig.subfigures(2, 1, squeeze=False, height_ratios=[2.2, 1.0])[:, 0]
         axes = top.subplots(
             len(_TRACES), len(_STRETCHES), sharex="col", sharey="row", width_ratios=[1.0, 1.4, 1.2]
         )

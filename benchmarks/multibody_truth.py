@@ -104,7 +104,7 @@ def read_truth(folder: Path, name: str) -> Truth:
     table = np.genfromtxt(path, delimiter=",", names=True)
     twin = load_twin(folder / "twin.yaml")
     start = float(round(float(read_drive(folder / name).imu.t[0])))
-    columns = {n: np.ascontiguousarray(table[n], dtype=np.float64) for n in table.dtype.names}
+    columns = {n: np.ascontiguousarray(table[n], dtype=np.float64) for n in table.dtype.names or ()}
     return Truth(columns, start, twin.vehicle.wheelbase, 0.5 * twin.vehicle.front_track)
 
 

@@ -31,6 +31,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from options import parse_options
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "benchmarks" / "results" / "mutation.json"
@@ -274,7 +275,9 @@ def main() -> int:
     parser.add_argument("--same", action="append", metavar="ID", help="this survivor is no other program")
     parser.add_argument("--json", action="store_true", help="print the figures as JSON")
     parser.add_argument("--out", type=Path, default=RESULTS, help="where the figures are kept")
-    options = parser.parse_args()
+    options = parse_options(
+        parser, only=["decision"], mutants=1, out=Path(tempfile.gettempdir()) / "mutation_smoke.json"
+    )
     rows = []
     if options.out.is_file():
         rows = [Mutant(**row) for row in json.loads(options.out.read_text(encoding="utf-8"))["mutants"]]

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from options import parse_options
 from paper_trucks import TRUCKS, truck
 from rich.console import Console
 from rich.table import Table
@@ -57,7 +58,7 @@ def validated(twin: Twin, drive: Any, place: Twin) -> tuple[Observation, dict[st
     there = observe(
         drive, twin.model_copy(update={k: getattr(place, k) for k in ("road", "imu", "gps", "datum")})
     )
-    simulated = there.condition(simulate_twin(there.twin, there.excitation))
+    simulated = there.condition(simulate_twin(there.twin, there.road_excitation))
     gap = there.gap(simulated)
     a, b = there.measured[CHANNEL][there.mask], simulated[CHANNEL][there.mask]
     power = float(np.mean((a - a.mean()) ** 2))
@@ -326,7 +327,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/paper"), help="folder for the pictures")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", nargs="+", choices=("car", "trucks"), default=["car", "trucks"])
-    given = parser.parse_args()
+    given = parse_options(parser, only=["car"])
     given.out.mkdir(parents=True, exist_ok=True)
     results: dict[str, Any] = {"seed": given.seed}
     if "car" in given.only:

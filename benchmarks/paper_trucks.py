@@ -154,10 +154,12 @@ def truck(name: str, out: Path, seed: int) -> dict[str, Any]:
     truth = true_twin(name)
     with tempfile.TemporaryDirectory() as folder:
         here = Path(folder)
-        lane = {"x": 3.0, "y": 2.0, "heading": 0.4}
+        x, y, heading = 3.0, 2.0, 0.4
         roads = {
-            "bump": bump_road(circular(1.2, 0.10), at=25.0, length=70.0, width=6.0, step=0.02, **lane),
-            "unseen": iso8608_road("D", 95.0, seed=seed + 1, **lane),
+            "bump": bump_road(
+                circular(1.2, 0.10), at=25.0, length=70.0, width=6.0, step=0.02, x=x, y=y, heading=heading
+            ),
+            "unseen": iso8608_road("D", 95.0, seed=seed + 1, x=x, y=y, heading=heading),
         }
         speeds = {
             "bump": [(0.0, 0.0), (3.0, 0.0), (6.0, 4.2), (15.0, 4.2), (18.0, 0.0), (20.0, 0.0)],
@@ -178,7 +180,7 @@ def truck(name: str, out: Path, seed: int) -> dict[str, Any]:
 
         def left(twin: Twin) -> float:
             there = observe(unseen, twin.model_copy(update={"road": named["unseen"]}))
-            return there.gap(there.condition(simulate_twin(there.twin, there.excitation))).mse
+            return there.gap(there.condition(simulate_twin(there.twin, there.road_excitation))).mse
 
         rows: dict[str, Any] = {}
         for preset, result in found.items():

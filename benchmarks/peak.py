@@ -8,11 +8,14 @@ an add count as two operations.
 
 from __future__ import annotations
 
+import argparse
 import ctypes
+import json
 import time
 from concurrent.futures import ThreadPoolExecutor
 
 import llvmlite.binding as llvm
+from options import parse_options
 
 _SUMS = 16
 _ROUNDS = 3_000_000
@@ -77,5 +80,17 @@ def _measured(width: int, threads: int, repeats: int) -> float:
     return best
 
 
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
+    parser.add_argument("--repeats", type=int, default=5, help="tries, of which the best counts")
+    options = parse_options(parser, repeats=1)
+    found = arithmetic_peak(repeats=options.repeats)
+    if options.json:
+        print(json.dumps({"operations_per_second": found}))
+    else:
+        print(f"{found / 1e9:.1f} GFLOP/s on one core")
+
+
 if __name__ == "__main__":
-    print(f"{arithmetic_peak() / 1e9:.1f} GFLOP/s on one core")
+    main()

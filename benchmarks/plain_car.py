@@ -28,7 +28,7 @@ def characteristic(points: tuple[Floats, Floats]) -> Callable[[Floats], Floats]:
     def force(value: Floats) -> Floats:
         inside = np.interp(value, x, f)
         above = f[-1] + last * (value - x[-1])
-        return np.where(value < 0, first * value, np.where(value > x[-1], above, inside))
+        return np.asarray(np.where(value < 0, first * value, np.where(value > x[-1], above, inside)))
 
     return force
 

@@ -31,9 +31,10 @@ sys.path.insert(0, str(HERE))
 
 import numpy as np  # noqa: E402
 from blind.folder import faults_of, road_file, twin_file  # noqa: E402
-from blind.plan import Spec  # noqa: E402
+from blind.plan import Seeds, Spec  # noqa: E402
 from blind.plan import plan as cases  # noqa: E402
 from blind.world import World, make_world  # noqa: E402
+from options import parse_options  # noqa: E402
 
 from suspension_twin.addons.plan.plan import APART, DETECTABLE, alternatives  # noqa: E402
 from suspension_twin.addons.plan.sensitivity import Change, products  # noqa: E402
@@ -41,7 +42,7 @@ from suspension_twin.diagnosis.library import library  # noqa: E402
 from suspension_twin.diagnosis.next_experiment import planned_drive  # noqa: E402
 from suspension_twin.vehicle.twin import EffectSpec, parse_twin  # noqa: E402
 
-SETS = ("report2", "report3")
+SETS: tuple[Seeds, ...] = ("report2", "report3")
 RESULT = HERE / "results" / "plan_confusion.json"
 #: Probability from which on a wrong cause counts as taken for the true one.
 TAKEN = 0.1
@@ -163,7 +164,7 @@ def main() -> None:
     parser.add_argument("--worlds", type=int, default=5, help="worlds of each set of seeds (5)")
     parser.add_argument("--fresh", action="store_true", help="simulate the faults of the cases anew")
     parser.add_argument("--keep", action="store_true", help="write the result to benchmarks/results")
-    options = parser.parse_args()
+    options = parse_options(parser, worlds=1)
     kept = json.loads(RESULT.read_text())["faults"] if RESULT.is_file() and not options.fresh else {}
     by, rows = chosen(options.worlds)
     found: list[dict[str, Any]] = []

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 import time
 from collections.abc import Callable
@@ -26,6 +27,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from options import parse_options
 from rich.console import Console
 from rich.table import Table
 from scipy.interpolate import CubicSpline
@@ -80,7 +82,7 @@ class Corner:
     def damper(self, v: float) -> float:
         """Force in N against the extension speed ``v`` m/s."""
         slope = self.pull if v > 0.0 else self.push
-        return slope * v * (1 / 3 + 2 / 3 / np.sqrt(1.0 + (v / self.knee) ** 2))
+        return slope * v * (1 / 3 + 2 / 3 / math.sqrt(1.0 + (v / self.knee) ** 2))
 
 
 #: What the seed draws from, by the id of the effect in the twin file: how a corner gets it, from a severity of 0 to 1.
@@ -253,7 +255,7 @@ def main() -> int:
         "--diagnose", type=int, metavar="N", help="make N cases, each effect in turn, and diagnose them"
     )
     parser.add_argument("--json", action="store_true", help="figures as JSON on standard output")
-    given = parser.parse_args()
+    given = parse_options(parser, seconds=5.0)
     if given.diagnose:
         answers = diagnosed(given.out, given.seed, given.diagnose, given.seconds)
         table = Table(title="Diagnoses", title_justify="left", title_style="bold")

@@ -31,6 +31,7 @@ sys.path[:0] = [str(HERE), str(HERE.parent / "bags")]
 from blind import severity  # noqa: E402
 from blind.faults import knob  # noqa: E402
 from blind.world import make_world  # noqa: E402
+from options import parse_options  # noqa: E402
 from road_drives_world import drive_over, make_site  # noqa: E402
 
 from suspension_twin.addons.roads.drives.drives import road_from_drives, surface_of  # noqa: E402
@@ -107,13 +108,14 @@ class Case:
             )
         (folder / "label.json").write_text(json.dumps({"effect": self.effect, "fault": fault}) + "\n")
 
-    def answer(self, folder: Path, road: str) -> dict[str, Any]:
-        """What a diagnosis on one of the roads says."""
+    def answer(self, folder: Path, road: str, alone: bool) -> dict[str, Any]:
+        """What a diagnosis on one of the roads says; ``alone``: with this effect in place of the library."""
         out = folder / road
         if not (out / "diagnosis.json").is_file():
             before, after = ([str(folder / f"{name}_{i}") for i in (0, 1)] for name in ("before", "after"))
             twin = str(folder / f"twin_{road}.yaml")
             line = [sys.executable, "-m", "suspension_twin", "diagnose", "--twin", twin, *after]
+            line += ["--effect", self.effect] if alone else []
             environment = os.environ | {"PYTHONPATH": str(HERE.parent)}
             run = subprocess.run(
                 [*line, "--reference", *before, "--out", str(out)],
@@ -134,12 +136,14 @@ class Case:
         }
 
 
-def asked(case: Case, out: Path) -> dict[str, Any]:
+def asked(case: Case, out: Path, alone: bool) -> dict[str, Any]:
     """One case, made and answered on both roads."""
     folder = out / f"case_{case.number:03d}"
     if not (folder / "label.json").is_file():
         case.make(folder)
-    return {"effect": case.effect, "reality": case.reality} | {r: case.answer(folder, r) for r in ROADS}
+    return {"effect": case.effect, "reality": case.reality} | {
+        r: case.answer(folder, r, alone) for r in ROADS
+    }
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
@@ -171,12 +175,12 @@ def main() -> None:
         "--out", type=Path, default=Path("road_changes"), help="where cases and answers are kept"
     )
     parser.add_argument("--json", action="store_true")
-    options = parser.parse_args()
+    options = parse_options(parser, cases=1)
     cases = [Case(options.first + n) for n in range(options.cases)]
     out = options.out.resolve()
     rows = []
     with ProcessPoolExecutor(options.jobs) as pool:
-        for row in pool.map(partial(asked, out=out), cases):
+        for row in pool.map(partial(asked, out=out, alone=options.smoke), cases):
             rows.append(row)
             if not options.json:
                 said = "; ".join(

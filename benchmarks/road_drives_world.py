@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from blind import folder, phone, world
-from blind.newton import Motion
+from blind.newton import Motion, rotate
 from blind.plan import Spec
 from blind.world import Floats, Plan, World, make_world
 from reality.sensors import Receiver, receiver_fixes
@@ -97,9 +97,7 @@ def drive_over(site: Site, kmh: float, number: int, faults: dict[str, dict[str, 
 
 def phone_fixes(site: Site, drive: Drive, motion: Motion, number: int) -> Drive:
     """The same drive with the fixes of a phone: once a second, metres off, slowly wandering."""
-    antenna = motion.place + phone.rotate(
-        motion.turn, np.broadcast_to(site.world.antenna, motion.place.shape)
-    )
+    antenna = motion.place + rotate(motion.turn, np.broadcast_to(site.world.antenna, motion.place.shape))
     receiver = Receiver(
         rate=1.0,
         white=_PHONE["white"],

@@ -40,7 +40,8 @@ from scipy.special import k1
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "bags")]
 
-from road_drives_world import Floats, Site, drive_over, make_site, phone_fixes, truth_along  # noqa: E402
+from options import parse_options  # noqa: E402
+from road_drives_world import Site, drive_over, make_site, phone_fixes, truth_along  # noqa: E402
 
 from suspension_twin.addons.roads.drives.drives import road_from_drives, surface_of  # noqa: E402
 from suspension_twin.addons.roads.drives.estimate import (  # noqa: E402
@@ -53,6 +54,7 @@ from suspension_twin.addons.roads.drives.estimate import (  # noqa: E402
 from suspension_twin.addons.roads.drives.passes import banded, lags_along  # noqa: E402
 from suspension_twin.addons.roads.drives.vehicle import PARAMETERS, scaled_twin  # noqa: E402
 from suspension_twin.addons.roads.pictures import save_estimate_picture  # noqa: E402
+from suspension_twin.arrays import Floats  # noqa: E402
 from suspension_twin.drive.types import Drive  # noqa: E402
 from suspension_twin.inference.simulated import simulate_drive  # noqa: E402
 from suspension_twin.road.road import Road  # noqa: E402
@@ -292,7 +294,7 @@ def main() -> None:
     parser.add_argument("--only", choices=("rtk", "lanes", "five", "phone", "joint"))
     parser.add_argument("--picture", type=Path)
     parser.add_argument("--json", action="store_true")
-    asked = parser.parse_args()
+    asked = parse_options(parser, seeds="7001", realities="newton", only="rtk")
     rows = []
     for seed in (int(s) for s in asked.seeds.split(",")):
         for reality in asked.realities.split(","):

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Roads from a real car's drives: does the road of one pass predict the vertical acceleration of another?
 
-    python benchmarks/road_real_drives.py [--data DIR] [--json] [--pictures DIR]
+    python benchmarks/road_real_drives.py [--data DIR] [--pairs N] [--json] [--pictures DIR]
 
 rtklibexplorer's ``GNSS_IMU`` (a car with a roof IMU and an RTK receiver, see ``../shared/data`` or
 SUSPENSION_TWIN_DATA): every stretch that is driven twice in the same direction, the bump at 337.6 and 362.6 s among
@@ -21,10 +21,12 @@ import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
+from extras import unavailable
 from matplotlib.figure import Figure
+from options import parse_options
 
 from suspension_twin.addons.roads.drives.drives import Part, road_from_drives, surface_of
 from suspension_twin.addons.roads.drives.estimate import RoadEstimateSettings
@@ -126,7 +128,7 @@ def judged(drive: Drive, twin: Twin, whole: Observation, pair: Pair, picture: Pa
     road = surface_of(found)
     begin = float(whole.t[0])
     second = observe(drive, twin, road).part(begin + b0 - MARGIN, begin + b1 + MARGIN)
-    simulated = second.condition(simulate_twin(twin, second.excitation))["vertical_acceleration"]
+    simulated = second.condition(simulate_twin(twin, second.road_excitation))["vertical_acceleration"]
     measured = second.measured["vertical_acceleration"]
     first = whole.part(begin + a0 - MARGIN, begin + a1 + MARGIN)
     # Places of both passes on the road's own line.
@@ -140,7 +142,8 @@ def judged(drive: Drive, twin: Twin, whole: Observation, pair: Pair, picture: Pa
     u_first, a_first = places[0][moving][order], first.measured["vertical_acceleration"][moving][order]
     t = second.t - begin
     # Beside the road its border is held: what crosses the whole road goes on there.
-    k = second.mask & (t >= b0) & (t <= b1) & (places[1] > road.u_first) & (places[1] < road.u_last)
+    usable = np.asarray(np.interp(second.t, whole.t, whole.mask.astype(float)) > 0.99)
+    k = usable & (t >= b0) & (t <= b1) & (places[1] > road.u_first) & (places[1] < road.u_last)
     if k.sum() < 0.5 * (b1 - b0) * second.rate:
         raise ValueError("too little of the second pass lies on the road of the first")
     u_second = places[1]
@@ -194,8 +197,9 @@ def _draw(
     figure.savefig(path, dpi=120, facecolor="white")
 
 
-def study(drive: Drive, twin: Twin, pictures: Path | None, near: float, bump: bool) -> dict[str, Any]:
-    """All pairs of a drive, both ways."""
+def study(drive: Drive, twin: Twin, near: float, bump: bool, asked: argparse.Namespace) -> dict[str, Any]:
+    """The first pairs of a drive, both ways: as many as ``asked``."""
+    pictures: Path | None = asked.pictures
     whole = observe(drive, twin, flat_road())
     pairs = repeats(whole, near)
     if bump:
@@ -203,7 +207,7 @@ def study(drive: Drive, twin: Twin, pictures: Path | None, near: float, bump: bo
         own = [(at - late - AROUND, at - late + AROUND) for at in BUMP]
         pairs.insert(0, Pair("bump", own[0], own[1]))
     rows = []
-    for pair in pairs:
+    for pair in pairs[: asked.pairs]:
         for way, one in (("", pair), (" back", Pair(pair.name, pair.second, pair.first))):
             picture = None  # a picture of the prediction, and one of the road
             if pictures is not None:
@@ -212,19 +216,19 @@ def study(drive: Drive, twin: Twin, pictures: Path | None, near: float, bump: bo
                 rows.append({"name": pair.name + way, **judged(drive, twin, whole, one, picture)})
             except ValueError as error:
                 rows.append({"name": pair.name + way, "error": str(error)})
-            _say(rows[-1])
+            _say(rows[-1], sys.stderr if asked.json else sys.stdout)
     return {"pairs": len(pairs), "rows": rows}
 
 
-def _say(row: dict[str, Any]) -> None:
+def _say(row: dict[str, Any], out: TextIO) -> None:
     if "error" in row:
-        print(f"  {row['name']}: {row['error']}", file=sys.stderr, flush=True)
+        print(f"  {row['name']}: {row['error']}", file=out, flush=True)
         return
     print(
         f"  {row['name']:12} {row['metres']:5.0f} m at {row['speeds'][0]:.1f} and {row['speeds'][1]:.1f} m/s: "
         f"twin {row['twin']:.2f} (unshifted {row['twin_unshifted']:.2f}), pass itself {row['pass']:.2f}; "
         f"{row['left']:.2f} left of {row['rms']:.2f} m/s²",
-        file=sys.stderr,
+        file=out,
         flush=True,
     )
 
@@ -237,18 +241,25 @@ def main() -> None:
     parser.add_argument(
         "--data", type=Path, default=Path(os.environ.get("SUSPENSION_TWIN_DATA", ROOT / "../shared/data"))
     )
+    parser.add_argument(
+        "--pairs", type=int, metavar="N", help="the first N of each recording; all by default"
+    )
     parser.add_argument("--pictures", type=Path)
     parser.add_argument("--json", action="store_true")
-    asked = parser.parse_args()
+    asked = parse_options(parser, pairs=1)
+    for name in ("rtklibexplorer_GNSS_IMU", "comma2k19_Example_1"):
+        if not (asked.data / name).is_dir():
+            unavailable(f"{asked.data / name} is not there: name the folder of measured data with --data")
     mapping = ROOT / "config" / "import" / "rtklibexplorer_gnss_imu.yaml"
     drive = import_drive([asked.data / "rtklibexplorer_GNSS_IMU"], mapping=mapping).drive
-    result = {"rtklibexplorer": study(drive, rtk_car(drive), asked.pictures, NEAR, True)}
+    result = {"rtklibexplorer": study(drive, rtk_car(drive), NEAR, True, asked)}
     drive = import_drive([asked.data / "comma2k19_Example_1"]).drive
-    result["comma2k19"] = study(drive, phone_car(drive), asked.pictures, 5.0, False)
+    result["comma2k19"] = study(drive, phone_car(drive), 5.0, False, asked)
     if asked.json:
         print(json.dumps(result, indent=1))
     else:
-        print(f"comma2k19: {result['comma2k19']['pairs']} stretches driven twice")
+        for name, found in result.items():
+            print(f"{name}: {found['pairs']} stretches driven twice")
 
 
 if __name__ == "__main__":

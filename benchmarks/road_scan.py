@@ -32,6 +32,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -45,6 +46,8 @@ from scipy import ndimage
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
 
+from extras import unavailable  # noqa: E402
+from options import parse_options  # noqa: E402
 from scanners import Ground, Scan, mobile, terrestrial  # noqa: E402
 
 from suspension_twin.addons.roads.pictures import save_scan_picture  # noqa: E402
@@ -66,7 +69,10 @@ from suspension_twin.vehicle.twin import load_twin  # noqa: E402
 Floats = NDArray[np.float64]
 
 BARS = {"beyond_mm": 1.5, "spike_mm": 5.0, "twin_percent": 5.0, "seconds": 60.0, "bytes": 2e9}
-SCANNERS = {"terrestrial": (terrestrial, 0.003), "mobile": (mobile, 0.004)}
+SCANNERS: dict[str, tuple[Callable[[Ground, int], Scan], float]] = {
+    "terrestrial": (terrestrial, 0.003),
+    "mobile": (mobile, 0.004),
+}
 SPEED = 30.0 / 3.6
 #: The command in a process that tells its largest memory at its end. (``getrusage`` counts its parent's before exec.)
 _MEASURED = """
@@ -368,7 +374,7 @@ def main() -> None:
     )
     parser.add_argument("--picture", type=Path)
     parser.add_argument("--json", action="store_true")
-    asked = parser.parse_args()
+    asked = parse_options(parser, roads="town", scanners="mobile")
     if asked.size:
         row = size(asked.size)
         if asked.json:
@@ -388,7 +394,7 @@ def main() -> None:
             try:
                 site = makers[name]()
             except OSError as error:
-                raise SystemExit(f"{error}: name the folder of measured data with --data") from None
+                unavailable(f"{error}: name the folder of measured data with --data")
             for scanner in asked.scanners.split(","):
                 rows.append(case(site, scanner, seed, asked.picture))
                 print(f"{name} {scanner} {seed}", json.dumps(rows[-1]), file=sys.stderr, flush=True)

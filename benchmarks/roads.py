@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 import pycrg
+from options import parse_options
 from rich.console import Console
 from rich.table import Table
 
@@ -184,7 +185,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
     parser.add_argument("--positions", type=int, default=400_000)
-    arguments = parser.parse_args()
+    arguments = parse_options(parser, positions=2_000)
     logging.getLogger("pycrg").setLevel(logging.CRITICAL)
     with tempfile.TemporaryDirectory() as folder:
         result = {

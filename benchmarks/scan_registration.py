@@ -32,6 +32,7 @@ from blind import newton, phone  # noqa: E402
 from blind.folder import road_file, twin_file  # noqa: E402
 from blind.plan import Spec  # noqa: E402
 from blind.world import drive_plan, make_world  # noqa: E402
+from options import parse_options  # noqa: E402
 from road_scan import make_site  # noqa: E402
 from scanners import mobile  # noqa: E402
 
@@ -98,7 +99,7 @@ def main() -> None:
     )
     parser.add_argument("--seeds", default="1..8")
     parser.add_argument("--json", action="store_true")
-    asked = parser.parse_args()
+    asked = parse_options(parser, seeds="1")
     first, _, last = asked.seeds.partition("..")
     rows = [case(seed) for seed in range(int(first), int(last or first) + 1)]
     if asked.json:

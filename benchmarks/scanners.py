@@ -44,7 +44,7 @@ class Ground:
     @property
     def x_end(self) -> float:
         """Last x in m."""
-        return self.x0 + self.step * (self.z.shape[0] - 1)
+        return float(self.x0 + self.step * (self.z.shape[0] - 1))
 
     def blocks(self) -> Floats:
         """The highest height of every block and its neighbours."""
@@ -53,7 +53,7 @@ class Ground:
         padded[: self.z.shape[0], : self.z.shape[1]] = self.z
         top = padded.reshape(nx, _SKIP, ny, _SKIP).max(axis=(1, 3))
         wide = np.pad(top, 1, mode="edge")
-        return np.max([wide[i : i + nx, j : j + ny] for i in range(3) for j in range(3)], axis=0)
+        return np.asarray(np.max([wide[i : i + nx, j : j + ny] for i in range(3) for j in range(3)], axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +98,7 @@ def _height(z: Floats, x0: float, y0: float, step: float, x: float, y: float) ->
     a, b = fx - i, fy - j
     low = z[i, j] + b * (z[i, j + 1] - z[i, j])
     high = z[i + 1, j] + b * (z[i + 1, j + 1] - z[i + 1, j])
-    return low + a * (high - low)
+    return float(low + a * (high - low))
 
 
 @njit(cache=True, nogil=True)

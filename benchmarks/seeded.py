@@ -27,15 +27,19 @@ import subprocess
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from blind.faults import ROAD, SENSOR, TIME, Faults, misread
-from blind.phone import felt
+from blind.faults import ROAD, SENSOR, TIME, misread
+from blind.newton import Faults
+from blind.phone import Felt, felt
 from blind.world import G, Phone
+from extras import unavailable
 from multibody_truth import Truth, read_truth
+from options import parse_options
 from rich.console import Console
 from rich.table import Table
 from scipy.interpolate import CubicSpline
@@ -90,15 +94,6 @@ class Seeded:
     reference: bool
     share: float = 0.0
     seed: int = 0
-
-
-@dataclass(frozen=True, eq=False)
-class _Motion:
-    """What ``blind.phone.felt`` takes of a motion."""
-
-    t: Floats
-    force: Floats
-    rate: Floats
 
 
 def faults_of(effect: str, amount: float, peak: float, rng: np.random.Generator) -> Faults:
@@ -216,7 +211,11 @@ def plan(seeds: str) -> list[Seeded]:
 
 
 def recorded(
-    drive: Drive, truth: Truth, twin_rpy: tuple[float, ...], faults: Faults, vehicle: Floats | float = 0.0
+    drive: Drive,
+    truth: Truth,
+    twin_rpy: tuple[float, float, float],
+    faults: Faults,
+    vehicle: Floats | float = 0.0,
 ) -> Drive:
     """The drive as a phone with these faults would have recorded it; ``vehicle`` (n, 6) is what the vehicle's own
     faults change of specific force and angular rate at the truth's times."""
@@ -244,8 +243,8 @@ def recorded(
         lost=0.0,
     )
     linear = {k: v for k, v in faults.items() if k in SENSOR and k != "sensor_clipping"}
-    clean = felt(_Motion(truth.t, force, rate), phone, {}, ideal=True)
-    faulty = felt(_Motion(truth.t, moved, rate), phone, linear, ideal=True)
+    clean = felt(Felt(truth.t, force, rate), phone, {}, ideal=True)
+    faulty = felt(Felt(truth.t, moved, rate), phone, linear, ideal=True)
     change = np.hstack([faulty.force - clean.force, faulty.rate - clean.rate]) + vehicle
     mount = Rotation.from_euler("xyz", twin_rpy)
     change = np.hstack([mount.apply(change[:, :3], inverse=True), mount.apply(change[:, 3:], inverse=True)])
@@ -307,7 +306,9 @@ def label(case: Seeded) -> dict[str, Any]:
     }
 
 
-def answer(case: Seeded, data: Path, out: Path | None = None) -> dict[str, Any]:
+def answer(
+    case: Seeded, data: Path, out: Path | None = None, effects: tuple[str, ...] = ()
+) -> dict[str, Any]:
     """Make one case, diagnose it and return what was said of it; the case stays in ``out`` if that is given."""
     if case.share:
         effect = next(iter(case.faults))
@@ -322,7 +323,7 @@ def answer(case: Seeded, data: Path, out: Path | None = None) -> dict[str, Any]:
         drives = tuple(str(folder / n) for n in case.drives)
         reference = (str(folder / "reference"),) if case.reference else ()
         try:
-            found = diagnose(DiagnosisRequest(str(folder / "twin.yaml"), drives, reference))
+            found = diagnose(DiagnosisRequest(str(folder / "twin.yaml"), drives, reference, effects=effects))
         except SuspensionTwinError as error:
             return {"case": case.name, "faults": case.faults, "right": False, "error": str(error)}
         if out is not None:
@@ -367,18 +368,22 @@ def main() -> None:
     )
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--out", type=Path, help="where cases, labels and evidence stay")
-    options = parser.parse_args()
+    options = parse_options(parser, workers=1)
     if not (options.data / "no_effect_added" / "twin.yaml").is_file():
-        raise SystemExit(f"{options.data}: no drives of no_effect_added; name the folder with --data")
+        unavailable(f"{options.data}: no drives of no_effect_added; name the folder with --data")
     planned = {"_gross": plan_gross, "_vehicle": plan_vehicle, "": plan}
     which = "_gross" if options.gross else "_vehicle" if options.vehicle else ""
     every = planned[which](options.seeds)
     cases = [c for c in every if not options.only or c.name in options.only]
+    effects: tuple[str, ...] = ()  # all
+    if options.smoke:
+        cases, effects = cases[:1], ("time_offset",)
     if not cases:
         raise SystemExit(f"--only: none of {' '.join(options.only)} is a case of these seeds")
     rows = []
     with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
-        for row in pool.map(answer, cases, [options.data] * len(cases), [options.out] * len(cases)):
+        ask = partial(answer, data=options.data, out=options.out, effects=effects)
+        for row in pool.map(ask, cases):
             rows.append(row)
             if not options.json:
                 print(f"{row['case']:34s} {_said(row)}", flush=True)

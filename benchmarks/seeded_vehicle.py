@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 from blind import newton
-from blind.faults import BODY, OUTSIDE, Faults, Null, knob
-from blind.newton import Motion
+from blind.faults import BODY, OUTSIDE, Null, knob
+from blind.newton import Faults, Motion
 from blind.world import (
     DAMPER_N,
     DAMPER_REACH,
@@ -85,7 +85,7 @@ def _world(source: Path, name: str) -> tuple[World, Truth, float]:
         rear=struts[1],
     )
     phone = Phone(
-        place=tuple(imu.position),
+        place=imu.position,
         rpy=(0.0,) * 3,
         misplaced=(0.0,) * 3,
         askew=(0.0,) * 3,

@@ -19,8 +19,10 @@ import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from options import parse_options
 
 from suspension_twin.calibration.output import write_result
 from suspension_twin.calibration.request import CalibrationRequest
@@ -102,7 +104,7 @@ def refitted(drive: Drive, twin: Twin, road: Road) -> tuple[SimulatedDrive, np.n
     return best, x * STEPS
 
 
-def judged(case: Case, late: float) -> dict[str, object]:
+def judged(case: Case, late: float) -> dict[str, Any]:
     """One row of the table."""
     place, drive = load_twin(case.place), SensorCorrection(clock=-late).timed(read_drive(case.held_out))
     road = road_of(place)
@@ -144,7 +146,7 @@ def main() -> None:
     parser.add_argument("--one", action="store_true", help="calibrate on one drive of a null case alone")
     parser.add_argument("--late", type=float, default=0.0, help="s that every IMU sample comes late")
     parser.add_argument("--json", action="store_true")
-    options = parser.parse_args()
+    options = parse_options(parser)
     columns = ("start", "kept", "calibrated", "refitted", "floor", "ratio")
     out = sys.stderr if options.json else sys.stdout
     print(f"{'case':28s}" + "".join(f"{c:>11s}" for c in columns) + "  latency ms", file=out)

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from options import parse_options
 
 from suspension_twin.calibration.damping import DAMPINGS, PAPER_CURVE, SPEEDS, select_damping
 from suspension_twin.models.tracked import simulate_tracked, simulate_tracked_lanes
@@ -45,7 +46,7 @@ def convergence(vehicle: TrackedVehicle) -> list[dict[str, Any]]:
     ``kick``: the same as the default with the standing hull given 1 micrometre a second: what grows of that is
     the vehicle's own sensitivity, which no refinement takes away.
     """
-    rows = []
+    rows: list[dict[str, Any]] = []
     for damping, kmh in itertools.product((45090.0, 0.0), (13.0, 30.0)):
         lane, speed = vehicle.with_dampers(damping), kmh / 3.6
         fine = None
@@ -92,9 +93,9 @@ def obstacles(vehicle: TrackedVehicle, low: float, high: float, shown: int = 6) 
     runs = simulate_tracked_lanes(vehicles, [13 / 3.6] * len(grid), 6.0)
     rows = []
     for g, v, r in zip(grid, vehicles, runs, strict=True):
-        peaks = (*np.abs(r.marker_velocity[:, :2]).max(axis=0), np.abs(r.marker_acceleration[:, :2]).max())
-        away = float(np.sum((np.log(np.array(peaks) / SECTION_5) * [1, 1, 0.7]) ** 2))
-        rows.append((away, g, [round(float(p), 2) for p in peaks], v))
+        most = (*np.abs(r.marker_velocity[:, :2]).max(axis=0), np.abs(r.marker_acceleration[:, :2]).max())
+        away = float(np.sum((np.log(np.array(most) / SECTION_5) * [1, 1, 0.7]) ** 2))
+        rows.append((away, g, [round(float(p), 2) for p in most], v))
     out = []
     for away, g, peaks, v in sorted(rows, key=lambda r: r[0])[:shown]:
         chosen = select_damping(v, low, high)
@@ -125,7 +126,7 @@ def main() -> None:
         "--convergence", action="store_true", help="also with other elements, contacts and steps"
     )
     parser.add_argument("--obstacles", action="store_true", help="also on other obstacles")
-    arguments = parser.parse_args()
+    arguments = parse_options(parser)
     vehicle = load_tracked(arguments.vehicle)
     simulate_tracked(vehicle, 5.0, 0.1)  # compiles
     wall, processor = time.perf_counter(), time.process_time()

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from blind.ask import commit
+from options import parse_options
 from tracked_cases import FILE, KINDS, SEVERITIES, make_cases
 
 from suspension_twin.diagnosis.request import DiagnosisRequest
@@ -115,7 +116,7 @@ def main() -> None:
     )
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--keep", action="store_true", help="write what came out to benchmarks/results")
-    arguments = parser.parse_args()
+    arguments = parse_options(parser, kinds=["none"], cases=1)
     seeds = SEEDS[arguments.seeds][: arguments.cases]
     tasks = [(kind, seed, arguments.folder) for seed in seeds for kind in arguments.kinds]
     rows: list[dict[str, Any]] = []

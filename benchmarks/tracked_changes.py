@@ -8,7 +8,7 @@ diagnosis sees; what correlates badly it cannot name (``disp.``: in displacement
 units, how far the model is off the sound specimen: with the specimen's own parameters on a prescribed way, with a
 driver, and calibrated. Beside it how far the fault lets the standing hull sink, which displacements from a standing
 start do not show.
-Usage: ``python benchmarks/tracked_changes.py [--kmh 4 20] [--json]``.
+Usage: ``python benchmarks/tracked_changes.py [--kmh 4 20] [--faults N] [--json]``.
 """
 
 from __future__ import annotations
@@ -17,10 +17,12 @@ import argparse
 import json
 import tempfile
 from collections.abc import Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from options import parse_options
 from tracked_agreement import simulate_runs
 from tracked_cases import signals
 from tracked_reality import Faults, simulate
@@ -150,7 +152,8 @@ def main() -> None:
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--kmh", type=int, nargs="+", choices=list(SECONDS), default=[8, 13])
-    arguments = parser.parse_args()
+    parser.add_argument("--faults", type=int, metavar="N", help="the first N; all by default")
+    arguments = parse_options(parser, kmh=[20], faults=1)
     start = load_twin(FILE)
     start = model_of(start).prepared(start)  # with a driver
     specimen = start.vehicle.with_changes(SOUND)
@@ -166,7 +169,7 @@ def main() -> None:
     told = simulate_runs([model], sound)[0]
     assert told is not None  # it was fitted to them
     rows: list[dict[str, Any]] = []
-    for fault, (effect, vehicle, faults) in cases(specimen).items():
+    for fault, (effect, vehicle, faults) in islice(cases(specimen).items(), arguments.faults):
         specs = tuple(EffectSpec(id=name, parameters=given) for name, given in effect.items())
         broken = simulate_runs([changed_vehicle(twin.model_copy(update={"effects": specs}))], sound)[0]
         assert broken is not None
@@ -197,8 +200,8 @@ def main() -> None:
     heads = "".join(f"{h:>8}" for h in ("real", "model", "gain", "corr.", "disp.", "sinks"))
     print(f"{'':18}{'km/h':>5}{heads}   (rms in units of the noise; mm)")
     for r in rows:
-        values = (r[k] for k in ("real", "model", "gain", "correlation", "displacement", "sinks"))
-        print(f"{r['fault']:18}{r['kmh']:5d}" + "".join(f"{v:8.2f}" for v in values))
+        figures = (r[k] for k in ("real", "model", "gain", "correlation", "displacement", "sinks"))
+        print(f"{r['fault']:18}{r['kmh']:5d}" + "".join(f"{v:8.2f}" for v in figures))
 
 
 if __name__ == "__main__":

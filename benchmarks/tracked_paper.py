@@ -4,7 +4,7 @@
 Once with the paper's search and objective (15), preset ``tracked_paper``, and once with the preset ``fast`` on the
 same five parameters and runs: all nine channels, each run's clock and speed free. The runs are those of
 ``tracked_runs.py``; the specimen's true parameters are printed beside what was found, and nothing but this table
-reads them. Usage: ``python benchmarks/tracked_paper.py [--json] [--out DIR] [--seed N] [--generations N]``.
+reads them. Usage: ``python benchmarks/tracked_paper.py [--json] [--out DIR] [--seed N] [--generations N] [--runs N]``.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from typing import Any, Final
 
 import numpy as np
 import yaml
+from options import parse_options
 from tracked_agreement import compare, simulate_runs
 
 from suspension_twin.calibration.request import CalibrationRequest
@@ -40,11 +41,14 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="folder for Figs 7 to 12")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--generations", type=int, default=0, help="0: as many as the preset says")
-    arguments = parser.parse_args()
+    parser.add_argument(
+        "--runs", type=int, metavar="N", help="calibrate on the first N; all at 4 km/h by default"
+    )
+    arguments = parse_options(parser, generations=1, runs=1)
     vehicle = load_tracked(ROOT / "pt91.yaml")
     files = sorted((ROOT / "runs").glob("*.csv"))
     runs = [read_run(p, vehicle) for p in files]
-    slow = tuple(str(p) for p, r in zip(files, runs, strict=True) if r.speed < 1.5)
+    slow = tuple(str(p) for p, r in zip(files, runs, strict=True) if r.speed < 1.5)[: arguments.runs]
     others = [r for r in runs if r.speed >= 1.5]
     truth = yaml.safe_load((ROOT / "runs" / "truth.yaml").read_text(encoding="utf-8"))
     results: dict[str, Any] = {

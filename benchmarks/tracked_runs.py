@@ -4,7 +4,7 @@
 The paper's measurement is not public. ``tracked_reality`` (97 rigid links, driven by the sprocket) drives
 over the same obstacle three times at each of 4, 8 and 13 km/h; a camera's tool gives displacement,
 velocity and acceleration of A, B and C. The parameters are in ``truth.yaml`` beside the files and nothing
-that calibrates reads them. Usage: ``python benchmarks/tracked_runs.py [--out config/tracked/runs]``.
+that calibrates reads them. Usage: ``python benchmarks/tracked_runs.py [--out config/tracked/runs] [--kmh 4 13]``.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import yaml
+from options import parse_options
 from tracked_reality import Faults, photogrammetry, simulate
 
 from suspension_twin.vehicle.tracked import load_tracked
@@ -41,10 +42,13 @@ def write_run(path: Path, table: np.ndarray) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description="Make the marker runs.")
     parser.add_argument("--out", type=Path, default=ROOT / "runs")
-    out = parser.parse_args().out
+    parser.add_argument("--kmh", type=int, nargs="+", choices=list(SPEEDS), default=list(SPEEDS))
+    options = parse_options(parser, kmh=[13])
+    out = options.out
     out.mkdir(parents=True, exist_ok=True)
     vehicle = load_tracked(ROOT / "pt91.yaml").with_changes(TRUTH)
-    for kmh, seconds in SPEEDS.items():
+    for kmh in options.kmh:
+        seconds = SPEEDS[kmh]
         for repeat in (1, 2, 3):
             rng = np.random.default_rng([kmh, repeat])
             speed = kmh / 3.6 * (1 + rng.normal(0, 0.008))

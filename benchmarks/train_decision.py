@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from options import parse_options
 from scipy.optimize import minimize
 
 from suspension_twin.diagnosis.decision import (
@@ -352,7 +353,7 @@ def main() -> None:
     parser.add_argument("--write", action="store_true", help="write decision.json")
     parser.add_argument("--costs", default="", help="as of suspension-twin diagnose")
     parser.add_argument("--json", action="store_true")
-    options = parser.parse_args()
+    options = parse_options(parser)
     if options.keep:
         print(f"{keep(options.keep)} cases are kept in {KEPT}", file=sys.stderr)
     lines = read()
@@ -383,7 +384,8 @@ def main() -> None:
         if name not in ("rows", "by_effect"):
             print(f"{name:30s} {value}")
     for name, value in figures["by_effect"].items():
-        print(f"  {name:28s} named {value[0]}, first {value[2]}, of {value[1]}")
+        if value[1]:
+            print(f"  {name:28s} named {value[0]}, first {value[2]}, of {value[1]}")
 
 
 if __name__ == "__main__":

@@ -25,6 +25,8 @@ os.environ.setdefault("ROS_DOMAIN_ID", "87")
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 import numpy as np
+from extras import unavailable
+from options import parse_options
 
 TOPICS = {
     "/twin/pose": "geometry_msgs/PoseStamped",
@@ -84,6 +86,7 @@ def measure(endpoint: Path, seconds: float) -> list[dict[str, Any]]:
     import rclpy
     from geometry_msgs.msg import PoseStamped
     from rclpy.qos import QoSProfile
+    from rclpy.utilities import try_shutdown
     from sensor_msgs.msg import JointState
     from tf2_msgs.msg import TFMessage
 
@@ -105,8 +108,15 @@ def measure(endpoint: Path, seconds: float) -> list[dict[str, Any]]:
         BAG,
         "--loop",
     ]
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment}
-    processes = [subprocess.Popen(list(map(str, command)), **quiet) for command in (server, twin)]
+    processes = [
+        subprocess.Popen(
+            list(map(str, command)),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            env=environment,
+        )
+        for command in (server, twin)
+    ]
     rclpy.init(args=[])
     try:
         client = _connected(port, processes[0])
@@ -133,7 +143,7 @@ def measure(endpoint: Path, seconds: float) -> list[dict[str, Any]]:
                 process.wait(3.0)
             except subprocess.TimeoutExpired:  # the endpoint waits for its threads
                 process.kill()
-        rclpy.try_shutdown()
+        try_shutdown()
 
 
 def _connected(port: int, server: subprocess.Popen[bytes]) -> Client:
@@ -172,7 +182,9 @@ def main() -> int:
     )
     parser.add_argument("--seconds", type=float, default=20.0, help="length of the measurement")
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
-    arguments = parser.parse_args()
+    arguments = parse_options(parser, seconds=2.0)
+    if not (arguments.endpoint / "ros_tcp_endpoint").is_dir():
+        unavailable(f"{arguments.endpoint}: no folder of ROS-TCP-Endpoint, branch main-ros2")
     rows = measure(arguments.endpoint, arguments.seconds)
     if arguments.json:
         print(json.dumps({"seconds": arguments.seconds, "topics": rows}))

@@ -18,6 +18,9 @@ import time
 from pathlib import Path
 from typing import Any
 
+from extras import unavailable
+from options import parse_options
+
 from suspension_twin.diagnosis.answer import write
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.diagnosis.run import diagnose
@@ -26,6 +29,8 @@ from suspension_twin.report.diagnosis import diagnosis_page
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "benchmarks" / "results" / "withheld.json"
+#: Effects that ``--smoke`` asks for.
+SMOKE = ("time_offset",)
 
 
 def cases(data: Path) -> list[Path]:
@@ -33,12 +38,13 @@ def cases(data: Path) -> list[Path]:
     return sorted(p.parent for p in data.glob("*/twin.yaml"))
 
 
-def run(case: Path, out: Path) -> dict[str, Any]:
-    """Diagnose one case and return what is kept of it."""
+def run(case: Path, out: Path, effects: tuple[str, ...]) -> dict[str, Any]:
+    """Diagnose one case by ``effects``, none for the library, and return what is kept of it."""
     drives = sorted(str(p) for p in case.iterdir() if p.is_dir() and p.name.startswith("drive"))
     reference = sorted(str(p) for p in case.iterdir() if p.is_dir() and p.name.startswith("reference"))
     began = time.monotonic()
-    result = diagnose(DiagnosisRequest(str(case / "twin.yaml"), tuple(drives), tuple(reference)))
+    twin = str(case / "twin.yaml")
+    result = diagnose(DiagnosisRequest(twin, tuple(drives), tuple(reference), effects=effects))
     seconds = time.monotonic() - began
     write(result, out / case.name)
     diagnosis_page(result).write(out / case.name / "report.html")
@@ -74,23 +80,27 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", default=[])
     parser.add_argument("--out", type=Path, default=Path("out/withheld"))
     parser.add_argument("--json", action="store_true")
-    options = parser.parse_args()
+    options = parse_options(parser)
     found = [c for c in cases(options.data) if not options.only or c.name in options.only]
     if not found:
-        raise SystemExit(f"{options.data}: no case with a twin.yaml; name the folder with --data")
-    known = {r["case"]: r for r in json.loads(RESULTS.read_text())["cases"]} if RESULTS.is_file() else {}
+        unavailable(f"{options.data}: no case with a twin.yaml; name the folder with --data")
+    results = RESULTS
+    effects: tuple[str, ...] = ()  # all
+    if options.smoke:
+        found, results, effects = found[:1], options.out / "withheld.json", SMOKE
+    known = {r["case"]: r for r in json.loads(results.read_text())["cases"]} if results.is_file() else {}
     for case in found:
         try:
-            known[case.name] = run(case, options.out)
+            known[case.name] = run(case, options.out, effects)
         except SuspensionTwinError as error:
             known[case.name] = {"case": case.name, "error": str(error)}
         row = known[case.name]
         if not options.json:
             text = row.get("message", row.get("error"))
             print(f"{case.name:18s} {row.get('verdict', 'error'):8s} {text}", flush=True)
-        RESULTS.parent.mkdir(parents=True, exist_ok=True)
+        results.parent.mkdir(parents=True, exist_ok=True)
         table = {"cases": [known[k] for k in sorted(known)]}
-        RESULTS.write_text(json.dumps(table, indent=2, ensure_ascii=False) + "\n")
+        results.write_text(json.dumps(table, indent=2, ensure_ascii=False) + "\n")
     if options.json:
         print(json.dumps({"cases": [known[c.name] for c in found]}))
 

@@ -1,11 +1,15 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""Makes what the documentation shows of the program itself: ``python docs/make_docs.py tables [PAGE...]|pictures``.
+"""Makes what the documentation shows of the program itself.
+
+    python docs/make_docs.py tables [PAGE...]
+    python docs/make_docs.py pictures [NAME...]
 
 ``tables`` writes the generated parts, each between its marks: commands in README.md, nodes, topics, services,
 actions and message definitions in interfaces.md, node parameters in parameters.md, effects in effects.md; of all these
 pages, or of those that are named: ``tables effects`` needs no ROS. A test says when one has fallen behind.
-``pictures`` draws the pictures of this folder, which takes some minutes.
+``pictures`` draws the pictures of this folder, or those that are named (demo, effects, damping, diagnosis, plan, rig);
+all of them take some minutes.
 """
 
 from __future__ import annotations
@@ -155,7 +159,8 @@ _NEEDED = {"source": ("sources", "sensorlogger://127.0.0.1:0"), "road_learner": 
 def _graph() -> dict[str, dict[str, list[tuple[str, str]]]]:
     """Of each node its own ``in`` and ``out`` topics, ``services`` and ``actions``, each with its type."""
     import rclpy
-    from rclpy.action import get_action_server_names_and_types_by_node
+    from rclpy.action.graph import get_action_server_names_and_types_by_node
+    from rclpy.utilities import try_shutdown
 
     found = {}
     rclpy.init(args=[])
@@ -174,7 +179,7 @@ def _graph() -> dict[str, dict[str, list[tuple[str, str]]]]:
             }
             node.destroy_node()
     finally:
-        rclpy.try_shutdown()
+        try_shutdown()
     return found
 
 
@@ -336,16 +341,6 @@ def _parameter(p: Any, severe: bool) -> list[str]:
 # -- pictures ------------------------------------------------------------------------------------
 
 
-def pictures() -> None:
-    """Every picture of the documentation, as commands and benchmarks make them."""
-    demo_pictures()
-    effects_picture()
-    damping_picture()
-    diagnosis_picture()
-    plan_picture()
-    rig_picture()
-
-
 def demo_pictures() -> None:
     """Run the demo as its command does and keep three of its figures."""
     from suspension_twin.cli.common import bundled
@@ -386,13 +381,13 @@ def effects_picture() -> None:
     edges = 0.5 * 2.0 ** (0.5 * np.arange(12))  # Hz
 
     def bands(taken: Any, *given: EffectSpec) -> Any:
-        response = simulate_twin(twin.model_copy(update={"effects": given}), prepared.excitation)
+        response = simulate_twin(twin.model_copy(update={"effects": given}), prepared.road_excitation)
         f, density = power_density(
             prepared.condition(response)["vertical_acceleration"] - taken, prepared.rate, 4.0
         )
         return np.array([density[(f >= a) & (f < b)].mean() for a, b in zip(edges, edges[1:], strict=False)])
 
-    undisturbed = prepared.condition(simulate_twin(twin, prepared.excitation))["vertical_acceleration"]
+    undisturbed = prepared.condition(simulate_twin(twin, prepared.road_excitation))["vertical_acceleration"]
     motion, rows = bands(0.0), {}
     for name, e in EFFECTS.items():
         if "full_car" not in e.models:
@@ -474,7 +469,7 @@ def draw_diagnosis(case: Path, answer: Path) -> None:
         ("gap before", "before", case),
         ("gap with the cause added", "simulated", answer),
     ):
-        response = simulate_twin(load_twin(twin / "twin.yaml"), prepared.excitation)
+        response = simulate_twin(load_twin(twin / "twin.yaml"), prepared.road_excitation)
         series[label] = (role, prepared.condition(response)["vertical_acceleration"] - measured)
     with style.using():
         fig = style.figure(8.6, 2.9)
@@ -542,16 +537,28 @@ def _run(*arguments: str) -> None:
     subprocess.run([sys.executable, *arguments], cwd=ROOT, check=True)
 
 
+#: What draws the pictures of the documentation, as commands and benchmarks make them.
+PAINTERS = {
+    "demo": demo_pictures,
+    "effects": effects_picture,
+    "damping": damping_picture,
+    "diagnosis": diagnosis_picture,
+    "plan": plan_picture,
+    "rig": rig_picture,
+}
+
+
 def main() -> None:
     wanted, named = sys.argv[1:2], sys.argv[2:]
     pages = {page.stem: page for page in parts()}
     if wanted == ["tables"] and set(named) <= pages.keys():
         for name in named or pages:
             pages[name].write_text(brought_up_to_date(pages[name]), encoding="utf-8")
-    elif wanted == ["pictures"] and not named:
-        pictures()
+    elif wanted == ["pictures"] and set(named) <= PAINTERS.keys():
+        for name in named or PAINTERS:
+            PAINTERS[name]()
     else:
-        raise SystemExit(re.sub(r"\s+", " ", __doc__ or "").strip())
+        raise SystemExit((__doc__ or "").strip())
 
 
 if __name__ == "__main__":

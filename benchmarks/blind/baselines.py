@@ -42,7 +42,7 @@ def _deviance(twin: Twin, drives: Sequence[Observation]) -> float:
     count = 0
     for drive in drives:
         try:
-            simulated = drive.condition(simulate_twin(twin, drive.excitation))
+            simulated = drive.condition(simulate_twin(twin, drive.road_excitation))
         except SuspensionTwinError:
             return _FAR
         count += int(drive.mask.sum())
@@ -62,7 +62,7 @@ def _fitted(effect: Effect, twin: Twin, drives: Sequence[Observation]) -> tuple[
     """Least deviance of an effect on a frozen twin, and how many parameters it took."""
     searched = [p for p in effect.parameters if not p.choices]
     choices = [p for p in effect.parameters if p.choices]
-    held = choices[0].choices if choices else (None,)
+    held: tuple[float | None, ...] = choices[0].choices if choices else (None,)
 
     def cost(u: np.ndarray, chosen: float | None) -> float:
         values = {p.name: _value(p, float(v)) for p, v in zip(searched, u, strict=True)}
@@ -77,7 +77,7 @@ def _fitted(effect: Effect, twin: Twin, drives: Sequence[Observation]) -> tuple[
             u = np.array([amount if p.name in effect.severity else 0.0 for p in searched])
             if (value := cost(u, chosen)) < best:
                 best, start, at = value, u, chosen
-    found = minimize(cost, start, args=(at,), method="Nelder-Mead", options=_SEARCH)
+    found = minimize(cost, start, args=(at,), method="Nelder-Mead", options=_SEARCH)  # type: ignore[call-overload]
     return min(best, float(found.fun)), len(effect.parameters)
 
 

@@ -412,8 +412,8 @@ def _wind(f: Faults, plan: Plan) -> Floats:
         return np.ascontiguousarray(both)
     side, at = np.zeros(count), float(rng.uniform(0.5, 2.0))
     while at < t[-1]:
-        lasts, size = rng.uniform(0.8, 2.4), float(rng.choice([-1.0, 1.0]) * rng.uniform(0.6, 1.0))
+        lasts, most = rng.uniform(0.8, 2.4), float(rng.choice([-1.0, 1.0]) * rng.uniform(0.6, 1.0))
         into = np.clip((t - at) / lasts, 0.0, 1.0)
-        side += size * np.sin(np.pi * into) ** 2
+        side += most * np.sin(np.pi * into) ** 2
         at += lasts + rng.uniform(0.4, 2.6)
     return np.asarray(own["force"] * side[:, None] * [1.0, 0.05])

@@ -16,6 +16,7 @@ None of this is the package's: its own comparison decides nothing about a case.
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
@@ -434,4 +435,4 @@ def planar_gap(sealed: Path, twin: Path, channel: str) -> float:
     c = bench.channels.index(channel)
     left = uncalibrated_residual(bench).difference[:, c]
     noise = case.drives[0].noise_rms[channel]
-    return float(np.sqrt(max(np.mean(left**2) - noise**2, 0.0)))
+    return math.sqrt(max(float(np.mean(left**2)) - noise**2, 0.0))

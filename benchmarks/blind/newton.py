@@ -58,7 +58,7 @@ def loaded(car: Car, payload: dict[str, float] | None) -> Car:
 
 def _sprung_centre(car: Car) -> Floats:
     unsprung = car.unsprung()
-    return (np.array(car.cog) * car.mass - unsprung @ car.wheels()) / (car.mass - unsprung.sum())
+    return np.asarray((np.array(car.cog) * car.mass - unsprung @ car.wheels()) / (car.mass - unsprung.sum()))
 
 
 def _body_centre(car: Car, f: Faults) -> Floats:

@@ -132,7 +132,7 @@ def _table(values: Floats, x: float, reach: float, count: int) -> float:
     if a <= 0.0:
         return 0.0
     i = min(int(a), count - 1)
-    return values[i] + (a - i) * (values[i + 1] - values[i])
+    return float(values[i] + (a - i) * (values[i + 1] - values[i]))
 
 
 @njit(cache=True)
@@ -140,7 +140,7 @@ def _inverse(values: Floats, force: float, reach: float, count: int) -> float:
     """Velocity at which a damper's table has this force: bisection over its rising entries."""
     low, high = 0, count
     if force >= values[count]:
-        return reach * force / values[count]
+        return float(reach * force / values[count])
     while high - low > 1:
         middle = (low + high) // 2
         if values[middle] <= force:
@@ -148,7 +148,7 @@ def _inverse(values: Floats, force: float, reach: float, count: int) -> float:
         else:
             high = middle
     part = (force - values[low]) / (values[high] - values[low])
-    return (low + part) * reach / count
+    return float((low + part) * reach / count)
 
 
 @njit(cache=True)

@@ -46,7 +46,7 @@ def _second_order(signal: Floats, dt: float, frequency: float, damping: float, f
     return np.asarray(lfilter(b, a, signal, axis=0, zi=start)[0])
 
 
-def felt(motion: Motion, phone: Phone, faults: Faults, ideal: bool = False) -> Felt:
+def felt(motion: Motion | Felt, phone: Phone, faults: Faults, ideal: bool = False) -> Felt:
     """The continuous part of the chain; ``ideal`` leaves out all that is not a fault."""
     dt = float(motion.t[1] - motion.t[0])
     force, rate = motion.force.copy(), motion.rate.copy()

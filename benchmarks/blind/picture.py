@@ -17,6 +17,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.patches import Rectangle
 
 _GOOD = LinearSegmentedColormap.from_list("good", ["#ffffff", "#1b7f5c"])
 _BAD = LinearSegmentedColormap.from_list("bad", ["#ffffff", "#b3402e"])
@@ -92,7 +93,7 @@ def _matrix(axes: Axes, counts: np.ndarray, truths: list[str], answers: list[str
             color="white" if dark else _INK,
         )
     for i, j in enumerate(right):
-        axes.add_patch(plt.Rectangle((j - 0.5, i - 0.5), 1, 1, fill=False, edgecolor=_SOFT, linewidth=1.0))
+        axes.add_patch(Rectangle((j - 0.5, i - 0.5), 1, 1, fill=False, edgecolor=_SOFT, linewidth=1.0))
     axes.set_xticks(
         range(len(answers)), [a.replace("_", " ") for a in answers], rotation=55, ha="right", fontsize=9
     )

@@ -168,12 +168,12 @@ def plan(seeds: Seeds, short: bool = False) -> list[Spec]:
         for spec in cases:
             groups.setdefault(spec.effects, []).append(spec)
         for group in groups.values():
-            rng.shuffle(group)  # type: ignore[arg-type]
-        mixed = []
+            rng.shuffle(group)
+        mixed: list[Spec] = []
         for row in zip_longest(*groups.values()):
-            row = [s for s in row if s is not None]
-            rng.shuffle(row)
-            mixed += row
+            there = [s for s in row if s is not None]
+            rng.shuffle(there)
+            mixed += there
         strata[kind] = mixed
     placed = [
         ((i + 0.5) / len(cases), k, i, spec)
@@ -377,6 +377,8 @@ def _set_up(seeds: Seeds, kind: Kind) -> Iterator[Spec]:
     planar = list(_recorded_cases(kind))
     everywhere = (*REALITIES, _LINKAGE, "flexible")
     for number in range(len(gross) + len(planar)):
+        effects: tuple[str, ...]
+        without: tuple[str, ...]
         if number < len(gross):
             effect, reference = gross[number]
             effects, severity, without = (effect,), 5.0, ()

@@ -195,7 +195,7 @@ def _known(car: Car, rng: np.random.Generator, right: bool) -> dict[str, Any]:
             quick = np.linspace(0, DAMPER_REACH, DAMPER_N + 1)
             end = strut.spring[-1] + (strut.spring[-1] - strut.spring[-2]) / fine[1] * (1.0 - SPRING_REACH)
             springs = [*np.interp(x[:3], fine, strut.spring), end]
-            pushes, pulls = np.interp(v, quick, strut.push), np.interp(v, quick, strut.pull)
+            pushes, pulls = (np.interp(v, quick, f).tolist() for f in (strut.push, strut.pull))
         axles.append(
             {
                 "unsprung_mass": off(strut.unsprung, 0.04),
@@ -346,6 +346,5 @@ def _refined(survey: Floats, surface: Surface) -> Floats:
     v = np.arange(surface.z.shape[1]) / round(FILE_DV / DV)
     i, j = np.minimum(u.astype(int), survey.shape[0] - 2), np.minimum(v.astype(int), survey.shape[1] - 2)
     a, b = (u - i)[:, None], (v - j)[None, :]
-    return (1 - a) * ((1 - b) * survey[np.ix_(i, j)] + b * survey[np.ix_(i, j + 1)]) + a * (
-        (1 - b) * survey[np.ix_(i + 1, j)] + b * survey[np.ix_(i + 1, j + 1)]
-    )
+    near, far = ((1 - b) * survey[np.ix_(k, j)] + b * survey[np.ix_(k, j + 1)] for k in (i, i + 1))
+    return np.asarray((1 - a) * near + a * far)

@@ -76,10 +76,11 @@ class _Bench:
         import rclpy
         from rclpy.action.client import ActionClient
         from rclpy.executors import SingleThreadedExecutor
+        from rclpy.utilities import ok
 
         from suspension_twin_interfaces.action import Calibrate
 
-        if not rclpy.ok():
+        if not ok():
             rclpy.init(args=["--ros-args", "--log-level", "error"])
         self.kind = Calibrate
         self.node = rclpy.create_node("canceller")

@@ -22,7 +22,7 @@ import numpy as np
 from torture.commands import PROGRAM, ROOT, broken_promise, digest, environment, hidden_parts, run
 from torture.ledger import Tally
 
-sys.path.insert(0, str(ROOT / "test" / "sources"))  # the emulators of the apps
+sys.path.insert(0, str(ROOT / "test" / "addons" / "sources"))  # the emulators of the apps
 
 __all__ = ["BAR", "torture"]
 

@@ -13,6 +13,7 @@ import contextlib
 import sys
 import time
 from collections.abc import Awaitable, Callable
+from functools import partial
 from typing import Any
 
 import aiohttp
@@ -22,7 +23,7 @@ from scipy.spatial import cKDTree
 from torture.commands import ROOT
 from torture.ledger import Tally
 
-sys.path.insert(0, str(ROOT / "test" / "sources"))  # the emulators of the apps
+sys.path.insert(0, str(ROOT / "test" / "addons" / "sources"))  # the emulators of the apps
 
 __all__ = ["BAR", "torture"]
 
@@ -192,7 +193,7 @@ def _wrong(drive: Any, taken: Any, lossless: bool, tally: Tally) -> str | None:
     if not taken.count("imu"):
         return f"nothing was heard; says: {'; '.join(taken.said)[:200]}"
     imu = taken.imu
-    distance, which = cKDTree(drive.imu.specific_force).query(imu.specific_force)
+    distance, which = map(np.asarray, cKDTree(drive.imu.specific_force).query(imu.specific_force))
     if distance.max() > 1e-4:
         return f"{int((distance > 1e-4).sum())} samples that were never sent"
     if np.diff(which).min(initial=1) < 1:
@@ -240,7 +241,7 @@ def torture(tally: Tally) -> None:
         what = f"{kind}, {fault}"
         try:
             taken, came, back = asyncio.run(
-                _trial(kind, network, drive, (lambda n=network, r=rng: _cut_off(n, r)) if cut else None)
+                _trial(kind, network, drive, partial(_cut_off, network, rng) if cut else None)
             )
         except Exception as error:
             taken = None

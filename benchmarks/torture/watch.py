@@ -55,6 +55,7 @@ class Twin:
         from nav_msgs.msg import Odometry
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.qos import QoSProfile
+        from rclpy.utilities import ok
         from rosgraph_msgs.msg import Clock
         from sensor_msgs.msg import Imu, JointState, NavSatFix
 
@@ -68,7 +69,7 @@ class Twin:
             stderr=self.said,
             env=environment(),
         )
-        if not rclpy.ok():  # one for all twins
+        if not ok():  # one for all twins
             rclpy.init(args=["--ros-args", "--log-level", "error"])
         self.node = rclpy.create_node("torturer", namespace=space)
         self.executor = SingleThreadedExecutor()
@@ -126,7 +127,8 @@ class Twin:
         def taken(message: Any, about: dict[str, int]) -> None:
             heard(message, about["source_timestamp"] / 1e9)
 
-        self.listeners.append((self.node.create_subscription(kind, name, taken, 2000), heard))
+        listen: Any = self.node.create_subscription  # its types know no callback with the message's times
+        self.listeners.append((listen(kind, name, taken, 2000), heard))
 
     def hear_answers(self, heard: Callable[[Any, float], None]) -> None:
         """Call ``heard(message, published)`` for every simulated acceleration, in place of all else."""
@@ -222,6 +224,7 @@ class Twin:
         from builtin_interfaces.msg import Time
         from rosgraph_msgs.msg import Clock
 
+        assert self.clock is not None
         self.clock.publish(Clock(clock=Time(sec=ns // 1_000_000_000, nanosec=ns % 1_000_000_000)))
 
     def memory(self) -> float:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
-from rich.table import Table
+from rich.table import Column, Table
 
 from suspension_twin.cli.common import Force, Outputs, Seed, output
 from suspension_twin.errors import InputError
@@ -144,12 +144,12 @@ def check(
         }
         write_text(out, json.dumps(record, indent=2) + "\n")
     console = output()
-    lines = Table.grid(padding=(0, 2, 0, 0))
-    for name, fact in checked.facts.items():
-        lines.add_row(name, fact)
-    for finding in checked.findings:
-        lines.add_row("wrong" if finding.fault else "note", finding.text)
-    console.print(lines)
+    lines = [*checked.facts.items(), *(("wrong" if f.fault else "note", f.text) for f in checked.findings)]
+    width = max(len(name) for name, _ in lines)
+    for line in lines:  # each by itself, or all of them end in spaces up to the end of the longest
+        row = Table.grid(Column(width=width), Column(), padding=(0, 2, 0, 0))
+        row.add_row(*line)
+        console.print(row)
     console.print("sound" if checked.sound else "not sound: see the lines that begin with 'wrong'")
     if not checked.sound:
         raise typer.Exit(1)

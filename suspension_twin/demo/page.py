@@ -276,7 +276,7 @@ def _calibration(result: DemoResult, convergence: Figure | None) -> Section:
                 started,
                 value,
                 truth,
-                f"{100 * (value / truth - 1):+.0f} %".replace("-", "−"),
+                f"{round(100 * (value / truth - 1)):+d} %".replace("-", "−"),
                 mark,
             ]
         )

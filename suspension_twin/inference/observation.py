@@ -248,7 +248,7 @@ class Observation:
     >>> from suspension_twin.vehicle.twin import load_twin
     >>> twin = load_twin("bags/crg_road/twin.yaml")
     >>> observation = observe(read_drive("bags/crg_road"), twin)
-    >>> gap = observation.gap(observation.condition(simulate_twin(twin, observation.excitation)))
+    >>> gap = observation.gap(observation.condition(simulate_twin(twin, observation.road_excitation)))
     >>> bool(gap.rms > gap.noise_rms)
     True
     """

@@ -6,17 +6,12 @@ from __future__ import annotations
 import importlib.util
 import os
 import re
-import shlex
 import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
 
 import pytest
-
-from suspension_twin.addons.sources import make_sources
-from suspension_twin.addons.sources.common.hub import Hub
-from suspension_twin.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted((ROOT / "docs").glob("*.md"))
@@ -89,25 +84,6 @@ def test_examples_in_python_run(
     for code in blocks(page, "python"):
         exec(compile(code, page.name, "exec"), {})
         assert capsys.readouterr().out
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
-def test_commands_take_their_arguments(
-    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """In an empty folder each of ours gets as far as missing its first file."""
-    monkeypatch.chdir(tmp_path)
-    lines = [line for block in blocks(page, "bash") for line in block.splitlines()]
-    for line in lines:
-        if "--source" in line or line == "suspension-twin connect":  # it would wait for what is to send
-            for url in re.findall(r"--source (\S+)", line):
-                assert make_sources([url.strip('"')], Hub())
-        elif line.startswith("suspension-twin "):
-            assert main(shlex.split(line)[1:]) == 2, line
-            error = capsys.readouterr().err
-            assert re.search(r"No such file or directory|is not there", error), error
-        elif line.startswith("python "):
-            assert (ROOT / line.split()[1]).exists(), line
 
 
 @pytest.mark.parametrize("name", LONGEST)
