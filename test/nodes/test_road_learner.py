@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-import pickle
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -16,6 +15,7 @@ from rclpy.parameter import Parameter
 from stand_ins import finds_no_pass, knows_the_road
 
 from suspension_twin.addons.nodes.road_learner import RoadLearnerNode
+from suspension_twin.addons.roads.drives.learning import read_lesson
 from suspension_twin.cli._status import line
 from suspension_twin.cli.main import main
 from suspension_twin.drive.types import Drive
@@ -98,7 +98,7 @@ def test_a_twin_that_was_loaded_meanwhile_is_not_replaced_by_an_older_one(
     learnt_with: list[str] = []
 
     def work(job: Job, progress: Any, should_stop: Any) -> Any:
-        learnt_with.append(pickle.loads(Path(job.request).read_bytes()).twin)
+        learnt_with.append(read_lesson(Path(job.request)).twin)
         if len(learnt_with) == 1:
             model.set_parameters([Parameter("twin", value=str(calibrated))])
         return knows_the_road(job, progress, should_stop)

@@ -33,6 +33,7 @@ from suspension_twin.addons.view.server import Requests, Server
 from suspension_twin.errors import InputError, SuspensionTwinError
 from suspension_twin.inference.observation import road_of
 from suspension_twin.nodes.base import TwinNode
+from suspension_twin.nodes.messages import read_odometry
 from suspension_twin.nodes.parameters import TWIN, Param, Values, twin_of
 from suspension_twin.nodes.process import run_alone
 from suspension_twin.nodes.topics import NS, Embedding
@@ -154,10 +155,13 @@ class ViewerNode(TwinNode):
         self.view.simulated(_ns(message), message.accel.linear.z)
 
     def _on_odometry(self, message: Odometry) -> None:
-        covariance = message.pose.covariance
-        sigma = math.sqrt(max(covariance[0], covariance[7], 0.0)) if covariance[35] < 1.0 else math.nan
+        try:
+            pose = read_odometry(message, 0.0)
+        except InputError:  # a value out of range
+            return
+        sigma = math.sqrt(max(pose.covariance[0], pose.covariance[3], 0.0)) if pose.aligned else math.nan
         level, words = advice(round(sigma, 2), self._twin is None or self._twin.road is not None)
-        self._motion = {"speed": round(message.twist.twist.linear.x, 2), "level": level, "advice": words}
+        self._motion = {"speed": round(pose.motion.speed, 2), "level": level, "advice": words}
 
     def _on_gap(self, message: Gap) -> None:
         bands = zip(message.band_low_hz, message.band_high_hz, message.band_rms, strict=True)

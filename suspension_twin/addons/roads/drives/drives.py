@@ -110,15 +110,11 @@ def road_from_drives(
     if not pieces:
         raise InputError("drives", "none is given")
     twin = with_datum(twin, pieces[0].drive)
-    read: list[tuple[Drive, Observation]] = []
-    prepared = []
-    for piece in pieces:
-        whole = next((found for drive, found in read if drive is piece.drive), None)
-        if whole is None:
-            progress(f"reading {piece.drive.name}", 0.0)
-            whole = prepare_drive(piece.drive, twin, _FILTER)
-            read.append((piece.drive, whole))
-        prepared.append(replace(piece.of(whole), name=piece.name))
+    read: dict[Drive, Observation] = {}
+    for drive in dict.fromkeys(piece.drive for piece in pieces):
+        progress(f"reading {drive.name}", 0.0)
+        read[drive] = prepare_drive(drive, twin, _FILTER)
+    prepared = [replace(piece.of(read[piece.drive]), name=piece.name) for piece in pieces]
     return estimate_road(prepared, twin, settings, progress)
 
 
