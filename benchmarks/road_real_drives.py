@@ -28,7 +28,7 @@ from matplotlib.figure import Figure
 
 from suspension_twin.addons.roads.drives.drives import Part, road_from_drives, surface_of
 from suspension_twin.addons.roads.drives.estimate import RoadEstimateSettings
-from suspension_twin.addons.roads.pictures import save_estimate_picture
+from suspension_twin.addons.roads.pictures import estimate_figure, save_picture
 from suspension_twin.arrays import Floats, runs
 from suspension_twin.drive.importing import import_drive
 from suspension_twin.drive.types import Drive
@@ -158,7 +158,7 @@ def judged(drive: Drive, twin: Twin, whole: Observation, pair: Pair, picture: Pa
     left = float(np.sqrt(np.mean((measured - simulated)[k] ** 2)))
     if picture is not None:
         _draw(picture, t[k], measured[k], of_twin(twin_shift), of_pass(pass_shift), (twin_r, pass_r))
-        save_estimate_picture(found, picture.with_name(picture.stem + "_road.png"))
+        save_picture(estimate_figure(found), picture.with_name(picture.stem + "_road.png"))
     return {
         "first": list(pair.first),
         "second": list(pair.second),

@@ -101,9 +101,9 @@ def command(
                 )
                 save_twin(found.vehicle.twin, joint, heading)
             if picture is not None:
-                from suspension_twin.addons.roads.pictures import save_estimate_picture
+                from suspension_twin.addons.roads.pictures import estimate_figure, save_picture
 
-                save_estimate_picture(found, picture)
+                save_picture(estimate_figure(found), picture)
     _print_estimate(record)
     if loaded.datum is None:
         d = record["datum"]
