@@ -202,7 +202,7 @@ class ViewerNode(TwinNode):
 
     def _answer(self, name: str, number: float | None) -> str:
         """A button of the page; the answer is shown to who pressed it."""
-        plain: dict[str, Callable[[], str]] = {
+        answers: dict[str, Callable[[], str]] = {
             "record": self.recorder.start,
             "stop": self._stop,
             "mark": self.recorder.mark,
@@ -211,16 +211,12 @@ class ViewerNode(TwinNode):
             "diagnose": self.jobs.diagnose,
             "cancel": self.jobs.cancel,
             "load": self.jobs.load,
+            "pause": partial(self.player.set, paused=True),
+            "play": partial(self.player.set, paused=False),
+            "seek": partial(self.player.seek, number),
+            "speed": partial(self.player.speed, number),
         }
-        if name in plain:
-            return plain[name]()
-        leads = {
-            "pause": self.player.pause,
-            "play": self.player.play,
-            "seek": self.player.seek,
-            "speed": self.player.speed,
-        }
-        return leads[name](number)
+        return answers[name]()
 
     def _toggle_guide(self) -> str:
         """Begin a first drive, or end the one that is under way."""
