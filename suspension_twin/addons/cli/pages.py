@@ -17,8 +17,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from suspension_twin.addons.sources.common.connection import is_local, url_host
 from suspension_twin.addons.view.fleet import FleetServer, TwinRow
-from suspension_twin.addons.view.server import is_local
 from suspension_twin.errors import InputError, WorkError
 
 if TYPE_CHECKING:
@@ -123,7 +123,7 @@ def fleet_pages(
         else:
             while len(opened) >= _PAGES:  # the one that was not asked for for the longest time
                 opened.pop(next(iter(opened)))[1].close()
-            free = free_address("--view", f"[{place.host}]:0" if ":" in place.host else f"{place.host}:0")
+            free = free_address("--view", f"{url_host(place.host)}:0")
             port, own = free.port, ExitStack()
             values = {"host": place.host, "port": port, "token": place.token, "twin": twins[name]}
             own.enter_context(node_process("viewer", values, name, ros.arguments))

@@ -39,7 +39,6 @@ _PORTS: Final = {
     ("websockets", False): 8000,
     ("websockets", True): 8884,
 }
-_TICK: Final = 0.1  # s
 _LARGEST: Final = 4_000_000  # bytes of a message
 _WAITING: Final = 1000  # messages that the event loop may be behind
 
@@ -84,9 +83,7 @@ class Mqtt(PlainSource):
 
     async def run(self) -> None:
         """See :class:`~suspension_twin.addons.sources.LiveSource`."""
-        while True:
-            await asyncio.sleep(_TICK)
-            self.phones.tick(host_time())
+        await self.phones.run()
 
     async def stop(self) -> None:
         """See :class:`~suspension_twin.addons.sources.LiveSource`."""

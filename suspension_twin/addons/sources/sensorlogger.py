@@ -7,12 +7,10 @@ Options: ``token`` (needed where the address is open to a network; made and kept
 
 from __future__ import annotations
 
-import asyncio
 import html
 from collections.abc import Sequence
 from typing import Final
 
-from suspension_twin.addons.sources.common.clock import host_time
 from suspension_twin.addons.sources.common.connection import Address, PlainSource
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.addons.sources.common.sensor_logger import Phones, axes_of
@@ -31,9 +29,6 @@ STEPS: Final = (
     "Sensors: Accelerometer, Gravity (Android: Total Acceleration as well), Gyroscope, Location; 100 Hz or more.",
     "Mount the phone rigidly, start recording, and keep the app in front.",
 )
-
-#: s between looks for messages that have not come.
-_TICK = 0.1
 
 
 class SensorLogger(PlainSource):
@@ -69,9 +64,7 @@ class SensorLogger(PlainSource):
 
     async def run(self) -> None:
         """See :class:`~suspension_twin.addons.sources.LiveSource`."""
-        while True:
-            await asyncio.sleep(_TICK)
-            self.phones.tick(host_time())
+        await self.phones.run()
 
     async def stop(self) -> None:
         """See :class:`~suspension_twin.addons.sources.LiveSource`."""
