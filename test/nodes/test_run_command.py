@@ -16,11 +16,12 @@ import pytest
 import yaml
 from rich.console import Console
 
+from suspension_twin.addons.nodes.source import SourceNode
 from suspension_twin.cli._status import Status, line
 from suspension_twin.cli.main import main
 from suspension_twin.drive.write import write_drive
 from suspension_twin.errors import InputError
-from suspension_twin.nodes.composed import Condition
+from suspension_twin.nodes.composed import KINDS, Condition
 from suspension_twin.nodes.parameters import check_names, read_param_file
 
 NODES = ("imu_ingest", "pose_injector", "suspension_model", "calibrator")
@@ -35,6 +36,12 @@ def start(arguments: list[str], **environment: str) -> subprocess.Popen[str]:
         text=True,
         env={**os.environ, **environment},
     )
+
+
+def program(node: type) -> list[str]:
+    """A node as a program, which an installation has under the node's name."""
+    call = f"import sys; from {node.__module__} import {node.__name__} as node; sys.exit(node.main())"
+    return [sys.executable, "-c", call]
 
 
 def run_command(*arguments: str | Path) -> list[str]:
@@ -122,7 +129,7 @@ def test_each_node_is_a_program_of_its_own(bench, twin_path):
     programs = {}
     for node in NODES:
         arguments = ["--ros-args", "-p", f"twin:={twin_path}", "-r", f"__node:={node}_alone"]
-        programs[node] = start([sys.executable, "-m", f"suspension_twin.nodes.{node}", *arguments])
+        programs[node] = start([*program(KINDS[node]), *arguments])
     for node in NODES:
         wait_for(bench, f"{node}_alone")
     for number, (_, process) in enumerate(programs.items()):
@@ -135,7 +142,7 @@ def test_each_node_is_a_program_of_its_own(bench, twin_path):
 
 def test_a_node_with_a_wrong_parameter_ends_with_status_2_and_one_line():
     arguments = ["--ros-args", "-p", "filter.cutoff:=-3.0"]
-    process = start([sys.executable, "-m", "suspension_twin.nodes.imu_ingest", *arguments])
+    process = start([*program(KINDS["imu_ingest"]), *arguments])
     _, errors = process.communicate(timeout=60.0)
     assert process.returncode == 2
     assert errors.count("\n") == 1 and "filter.cutoff" in errors
@@ -143,9 +150,7 @@ def test_a_node_with_a_wrong_parameter_ends_with_status_2_and_one_line():
 
 @pytest.mark.parametrize("given", [["stray"], ["--ros-args", "-p", "threads:=1", "--", "--late"]])
 def test_a_node_names_an_argument_that_it_does_not_know(given, capsys):
-    from suspension_twin.nodes.calibrator import main as alone
-
-    assert alone(["calibrator", *given]) == 2
+    assert KINDS["calibrator"].main(["calibrator", *given]) == 2
     assert capsys.readouterr().err == f"{given[-1]}: unknown argument: arguments for ROS follow --ros-args\n"
 
 
@@ -337,18 +342,15 @@ def test_the_status_line_fits_80_columns():
 
 @pytest.mark.parametrize("node", NODES)
 def test_a_node_program_answers_help(node, capsys):
-    from importlib import import_module
-
-    module = import_module(f"suspension_twin.nodes.{node}")
-    assert module.main([node, "--help"]) == 0
+    assert KINDS[node].main([node, "--help"]) == 0
     out = capsys.readouterr().out
     assert out.startswith(f"Usage: {node} [--ros-args") and max(map(len, out.splitlines())) <= 80
-    assert all(f"  {p.name} = " in out for p in module.main.args[0].parameters) and "``" not in out
+    assert all(f"  {p.name} = " in out for p in KINDS[node].parameters) and "``" not in out
 
 
 def test_help_into_a_pipe_that_is_closed_is_no_traceback():
     node = subprocess.Popen(
-        [sys.executable, "-m", "suspension_twin.addons.nodes.source", "--help"],
+        [*program(SourceNode), "--help"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

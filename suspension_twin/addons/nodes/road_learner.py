@@ -9,13 +9,11 @@ each pass the road is estimated in a worker process; what comes out is written a
 from __future__ import annotations
 
 import math
-import sys
 import tempfile
 import time
 from array import array
 from collections.abc import Callable
 from collections.abc import Set as AbstractSet
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -45,11 +43,10 @@ from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.jobs import Job, Outcome, Worker
 from suspension_twin.nodes.messages import read_fix, read_odometry, read_velocity, yaw_of
 from suspension_twin.nodes.parameters import TWIN, Param, Values, twin_of
-from suspension_twin.nodes.process import run_alone
 from suspension_twin.nodes.topics import OK, WARN, Embedding
 from suspension_twin_interfaces.srv import LoadTwin
 
-__all__ = ["RoadLearnerNode", "main", "run_lesson"]
+__all__ = ["RoadLearnerNode", "run_lesson"]
 
 #: Period in s at which the worker's messages are read.
 _TICK = 0.1
@@ -350,9 +347,3 @@ class RoadLearnerNode(TwinNode):
         values["passes kept"] = str(len(self._passes))
         values["present pass (m)"] = f"{self._laps.length:.0f}"
         values["state"] = self._step if self._worker is not None else "collecting"
-
-
-main = partial(run_alone, RoadLearnerNode)
-
-if __name__ == "__main__":
-    sys.exit(main())

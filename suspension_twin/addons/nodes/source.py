@@ -10,7 +10,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 from suspension_twin.addons.sources.common.clock import host_time
@@ -22,10 +21,9 @@ from suspension_twin.drive.types import FixData, ImuData
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.messages import SENSORS
 from suspension_twin.nodes.parameters import TWIN, Param, twin_of
-from suspension_twin.nodes.process import run_alone
 from suspension_twin.nodes.topics import ERROR, NS, OK, WARN, Embedding, Output
 
-__all__ = ["SourceNode", "main"]
+__all__ = ["SourceNode"]
 
 _LEVELS = {"ok": OK, "warn": WARN, "error": ERROR}
 
@@ -132,9 +130,3 @@ class SourceNode(TwinNode):
             values[device.name] = device_line(device, now)
             for name, value in device_values(device, now).items():
                 values[f"{device.name}: {name}"] = value
-
-
-main = partial(run_alone, SourceNode)
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -35,12 +35,11 @@ from suspension_twin.inference.observation import road_of
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.messages import read_odometry
 from suspension_twin.nodes.parameters import TWIN, Param, Values, twin_of
-from suspension_twin.nodes.process import run_alone
 from suspension_twin.nodes.topics import NS, Embedding
 from suspension_twin.vehicle.twin import Twin
 from suspension_twin_interfaces.msg import Gap
 
-__all__ = ["ViewerNode", "main"]
+__all__ = ["ViewerNode"]
 
 #: s between two looks at the buttons of the page.
 _TICK = 0.05
@@ -55,6 +54,7 @@ _MATCHED = 0.5
 class ViewerNode(TwinNode):
     """Topics of a running twin in; a page on ``host`` and ``port`` out."""
 
+    events = True  # many topics, at many times the rate of a drive that is replayed quickly
     parameters = (
         TWIN,
         Param(
@@ -259,8 +259,5 @@ def _ns(message: Any) -> int:
     return int(stamp.sec * NS + stamp.nanosec)
 
 
-# many topics at many times the rate of a drive that is replayed quickly
-main: Callable[..., Any] = partial(run_alone, ViewerNode, events=True)
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(ViewerNode.main())
