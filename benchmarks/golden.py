@@ -407,7 +407,7 @@ def _live(bag: Path) -> Item:
                 outputs.links.append(lambda m, name=name: heard[name].append(m.accel.linear.z))
             while not composed.finished:
                 composed.step()
-            whole = composed.condition().whole_gap
+            whole = composed.model.whole_gap()
             composed.close()
             return whole
 

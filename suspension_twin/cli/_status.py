@@ -16,7 +16,7 @@ from suspension_twin.errors import printable
 if TYPE_CHECKING:
     from suspension_twin.nodes.composed import Composed, Condition
 
-__all__ = ["Status", "line", "say"]
+__all__ = ["Status", "complaint", "line", "say"]
 
 #: Seconds between lines on a terminal, and in a log.
 _PERIOD, _LOG_PERIOD = 1.0, 10.0
@@ -31,20 +31,23 @@ def say(text: str) -> None:
 def line(condition: Condition) -> Text:
     """``condition`` in a line of at most 80 columns; below it the learnt road, and complaints in colour."""
     parts = []
-    if condition.position is not None:
-        again = f", round {condition.rounds + 1}" if condition.rounds else ""
-        parts.append(f"{condition.position:.0f} of {condition.duration:.0f} s{again}")
+    if (played := condition.played) is not None:
+        again = f", round {played.rounds + 1}" if played.rounds else ""
+        parts.append(f"{played.position:.0f} of {played.duration:.0f} s{again}")
     known = (f"{n} {'-' if math.isnan(r) else f'{r:.0f}'}" for n, r in condition.rates.items())
-    times = "" if condition.normalised is None else f" ({condition.normalised:.1f} ×)"
-    gap = "-" if condition.gap is None else f"{condition.gap:.2f} m/s²{times}"
-    text = Text(_fitting([*parts, f"{', '.join(known)} Hz", f"gap {gap}"]))
+    text = Text(_fitting([*parts, f"{', '.join(known)} Hz", f"gap {condition.gap or '-'}"]))
     if condition.learning is not None:
         text.append(f"\n{condition.learning[:_WIDTH]}")
     if condition.complaints:
-        more = f" (+{len(condition.complaints) - 1})" if len(condition.complaints) > 1 else ""
-        style = "bold red" if condition.failing else "yellow"
-        text.append("\n").append(condition.complaints[0] + more, style=style)
+        text.append("\n").append(complaint(condition))
     return text
+
+
+def complaint(condition: Condition) -> Text:
+    """The first complaint and how many there are beside it, in colour."""
+    first, *others = condition.complaints
+    more = f" (+{len(others)})" if others else ""
+    return Text(printable(first) + more, style="bold red" if condition.failing else "yellow")
 
 
 def _fitting(parts: list[str]) -> str:
@@ -101,5 +104,6 @@ class Status:
         self._console.print(
             Text(f"{condition.answers} answers to {condition.samples} IMU samples in {seconds:.1f} s")
         )
-        if condition.whole_gap is not None:
-            self._console.print(Text(f"Gap over the whole drive: {condition.whole_gap:.3f} m/s² rms"))
+        whole = self._composed.model.whole_gap()
+        if not math.isnan(whole):
+            self._console.print(Text(f"Gap over the whole drive: {whole:.3f} m/s² rms"))

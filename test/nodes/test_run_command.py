@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,7 +22,8 @@ from suspension_twin.cli._status import Status, line
 from suspension_twin.cli.main import main
 from suspension_twin.drive.write import write_drive
 from suspension_twin.errors import InputError
-from suspension_twin.nodes.composed import KINDS, Condition
+from suspension_twin.live.gap import GapNow
+from suspension_twin.nodes.composed import KINDS, Condition, Played
 from suspension_twin.nodes.parameters import check_names, read_param_file
 
 NODES = ("imu_ingest", "pose_injector", "suspension_model", "calibrator")
@@ -300,14 +302,10 @@ CONDITION = Condition(
     rates={"imu": 100.0, "fix": 10.0},
     samples=500,
     answers=484,
-    gap=0.1834,
-    whole_gap=0.21,
-    normalised=2.71,
+    gap=GapNow(0.1834, 0.5, 0.07, 2.71, (), 100),
     complaints=["imu_ingest: too loud", "another"],
     failing=False,
-    position=12.04,
-    duration=44.9,
-    rounds=1,
+    played=Played(12.04, 44.9, 1),
 )
 
 
@@ -317,7 +315,7 @@ def test_the_status_line_says_where_it_is_and_what_is_wrong():
     assert "gap 0.18 m/s² (2.7 ×)" in text and "imu_ingest: too loud (+1)" in text
     from dataclasses import replace
 
-    live = line(replace(CONDITION, position=None, gap=None, complaints=[], rates={"imu": float("nan")})).plain
+    live = line(replace(CONDITION, played=None, gap=None, complaints=[], rates={"imu": float("nan")})).plain
     assert "of" not in live and "gap -" in live and "nan" not in live
 
 
@@ -329,11 +327,8 @@ def test_the_status_line_fits_80_columns():
         shown = replace(
             CONDITION,
             rates=rates,
-            position=position,
-            duration=3600.0,
-            rounds=rounds,
-            gap=gap,
-            normalised=123.4,
+            played=Played(position, 3600.0, rounds),
+            gap=gap and replace(CONDITION.gap, rms=gap, normalised=123.4),
         )
         first, second = line(shown).plain.split("\n")
         assert len(first) <= 80 and "imu 1600" in first and "twin 1600" in first
@@ -363,6 +358,8 @@ def test_help_into_a_pipe_that_is_closed_is_no_traceback():
 @pytest.mark.parametrize("terminal", [True, False])
 def test_the_status_is_shown_on_a_terminal_and_in_a_log(terminal, monkeypatch):
     class Fake:
+        model = SimpleNamespace(whole_gap=lambda: 0.21)
+
         def condition(self) -> Condition:
             return CONDITION
 

@@ -17,7 +17,7 @@ from rich.text import Text
 from suspension_twin.addons.cli.live_lines import UpdatedLines
 from suspension_twin.addons.cli.pages import fleet_pages, foxglove_address, free_address, node_process
 from suspension_twin.addons.view.fleet import TwinRow
-from suspension_twin.cli._status import say
+from suspension_twin.cli._status import complaint, say
 from suspension_twin.errors import printable
 
 if TYPE_CHECKING:
@@ -105,15 +105,18 @@ def _watch(
     )
 
 
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
 def rows(conditions: Mapping[str, Condition]) -> dict[str, TwinRow]:
     """Each twin as the page of the fleet shows it."""
     found: dict[str, TwinRow] = {}
     for name, c in conditions.items():
-        known = c.gap is not None and math.isfinite(c.gap)
         found[name] = {
-            "rate": c.rates["imu"] if math.isfinite(c.rates["imu"]) else 0.0,
-            "gap": c.gap if known else None,
-            "normalised": c.normalised if known else None,
+            "rate": _finite(c.rates["imu"]) or 0.0,
+            "gap": c.gap and _finite(c.gap.rms),
+            "normalised": c.gap and _finite(c.gap.normalised),
             "text": printable(c.complaints[0]) if c.complaints else "",
             "failing": c.failing,
         }
@@ -127,23 +130,16 @@ def summary(conditions: Mapping[str, Condition]) -> Text:
     if rates:
         low, high = f"{rates[0]:.0f}", f"{rates[-1]:.0f}"
         parts[0] += f" at {low if low == high else f'{low} to {high}'} Hz"
-    gaps = {name: c for name, c in conditions.items() if c.gap is not None and not math.isnan(c.gap)}
+    gaps = [(c.gap, name) for name, c in conditions.items() if c.gap is not None and math.isfinite(c.gap.rms)]
     if gaps:
         # Beside its noise floor where that is known, for vehicles and roads differ.
-        name = max(gaps, key=lambda n: (gaps[n].normalised or 0.0, gaps[n].gap or 0.0))
-        worst = gaps[name]
-        times = "" if worst.normalised is None else f" ({worst.normalised:.1f} ×)"
-        parts.append(f"largest gap /{name} {worst.gap:.2f} m/s²{times}")
+        worst, name = max(gaps, key=lambda g: (_finite(g[0].normalised) or 0.0, g[0].rms))
+        parts.append(f"largest gap /{name} {worst}")
     text = Text(" | ".join(parts))
-    unwell = sorted(
-        (n for n, c in conditions.items() if c.complaints), key=lambda n: not conditions[n].failing
-    )
-    for name in unwell[:_COMPLAINTS]:
-        c = conditions[name]
-        more = f" (+{len(c.complaints) - 1})" if len(c.complaints) > 1 else ""
-        text.append(
-            f"\n/{name}: {printable(c.complaints[0])}{more}", style="bold red" if c.failing else "yellow"
-        )
+    unwell = sorted((i for i in conditions.items() if i[1].complaints), key=lambda i: not i[1].failing)
+    for name, c in unwell[:_COMPLAINTS]:
+        said = complaint(c)
+        text.append("\n").append(f"/{name}: ", style=said.style).append(said)
     if len(unwell) > _COMPLAINTS:
         text.append(f"\nand {len(unwell) - _COMPLAINTS} more twins", style="yellow")
     return text
