@@ -291,12 +291,13 @@ def _playback(bag: Path, speed: float, loop: bool, delay: float) -> Playback:
 
 
 def _run(composed: Composed, stop_asked: Callable[[], bool], bag: Path | None) -> None:
-    from suspension_twin.cli._status import Status
+    from suspension_twin.cli._status import UpdatedLines, conclusion, line
 
-    with Status(composed) as status:
+    began = time.monotonic()
+    with UpdatedLines() as lines:
         while not (stop_asked() or composed.finished):
             composed.step()
-            status.show()
+            lines.show(lambda: [line(composed.condition())])
         until = time.monotonic() + 0.2
         while composed.finished and not stop_asked() and time.monotonic() < until:
             composed.step()
@@ -304,4 +305,4 @@ def _run(composed: Composed, stop_asked: Callable[[], bool], bag: Path | None) -
         if composed.finished and not end.answers:
             why = f": {end.complaints[0]}" if end.complaints else ""
             raise WorkError(f"{bag}: the twin answered none of {end.samples} IMU samples{why}")
-        status.conclude()
+        lines.conclude(conclusion(composed, time.monotonic() - began))

@@ -18,7 +18,7 @@ import yaml
 from rich.console import Console
 
 from suspension_twin.addons.nodes.source import SourceNode
-from suspension_twin.cli._status import Status, line
+from suspension_twin.cli._status import UpdatedLines, conclusion, line
 from suspension_twin.cli.main import main
 from suspension_twin.drive.write import write_drive
 from suspension_twin.errors import InputError
@@ -356,7 +356,7 @@ def test_help_into_a_pipe_that_is_closed_is_no_traceback():
 
 
 @pytest.mark.parametrize("terminal", [True, False])
-def test_the_status_is_shown_on_a_terminal_and_in_a_log(terminal, monkeypatch):
+def test_the_status_is_shown_on_a_terminal_and_in_a_log(terminal):
     class Fake:
         model = SimpleNamespace(whole_gap=lambda: 0.21)
 
@@ -364,11 +364,10 @@ def test_the_status_is_shown_on_a_terminal_and_in_a_log(terminal, monkeypatch):
             return CONDITION
 
     out = io.StringIO()
-    monkeypatch.setattr("suspension_twin.cli._status._PERIOD", 0.0)
-    with Status(Fake(), Console(file=out, force_terminal=terminal, width=200)) as status:  # type: ignore[arg-type]
-        status.show()
-        status.show()
-        status.conclude()
+    with UpdatedLines(Console(file=out, force_terminal=terminal, width=200), 0.0, 60.0) as lines:
+        lines.show(lambda: [line(CONDITION)])
+        lines.show(lambda: [line(CONDITION)])
+        lines.conclude(conclusion(Fake(), 1.0))  # type: ignore[arg-type]
     shown = out.getvalue()
     assert "gap 0.18" in shown and "484 answers to 500 IMU samples" in shown
     assert shown.count("too loud") == (2 if terminal else 1) or terminal

@@ -12,7 +12,7 @@ from suspension_twin.addons.roads.drives.learning import twin_path
 from suspension_twin.addons.sources import make_sources
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.addons.sources.common.recorder import LiveRecorder
-from suspension_twin.cli._status import Status, say
+from suspension_twin.cli._status import UpdatedLines, line, say
 from suspension_twin.cli.run import RunSettings
 from suspension_twin.errors import InputError
 from suspension_twin.road.crg import record_path
@@ -101,9 +101,9 @@ class LearntRoad:
             learner.close_pass()
             if learner.pending:
                 say("learning the road of the last pass; Ctrl-C ends this")
-                with suppress(KeyboardInterrupt), stop.again(), Status(composed) as status:
+                with suppress(KeyboardInterrupt), stop.again(), UpdatedLines() as lines:
                     while learner.pending:
                         composed.serve()
-                        status.show()
+                        lines.show(lambda: [line(composed.condition())])
             no_road = f"no road was learnt, {self._road} is not written: {learner.why}"
             say(learner.summary() if learner.learnt else no_road)

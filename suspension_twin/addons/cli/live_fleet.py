@@ -14,10 +14,9 @@ from typing import TYPE_CHECKING
 
 from rich.text import Text
 
-from suspension_twin.addons.cli.live_lines import UpdatedLines
 from suspension_twin.addons.cli.pages import fleet_pages, foxglove_address, free_address, node_process
 from suspension_twin.addons.view.fleet import TwinRow
-from suspension_twin.cli._status import complaint, say
+from suspension_twin.cli._status import UpdatedLines, complaint, say
 from suspension_twin.errors import printable
 
 if TYPE_CHECKING:
@@ -91,7 +90,7 @@ def _watch(
 ) -> None:
     """Go on step by step; show how the twins are every second on a terminal and on the page, every ten in a log."""
     page_due = time.monotonic() + _PERIOD
-    with UpdatedLines(period=_PERIOD) as lines:
+    with UpdatedLines() as lines:
         while not stop_asked():
             step()
             now = time.monotonic()
