@@ -51,8 +51,8 @@ def run_fleet(given: FleetSettings, display: DisplaySettings, ros: RosSettings) 
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="suspension_twin_"))
         above = ros.namespace.strip("/")
         twins = {
-            "/".join(p for p in (above, t.namespace) if p): str(t.file)
-            for t in fleet_twins(read_manifest(given.fleet), Path(folder))
+            "/".join(p for p in (above, name) if p): str(file)
+            for name, file in fleet_twins(read_manifest(given.fleet), Path(folder)).items()
         }
         for name in twins:
             check_namespace(name)
