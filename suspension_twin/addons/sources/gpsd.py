@@ -43,7 +43,7 @@ class Gpsd(Receiver):
     def __init__(self, address: Address, hub: Hub, rank: int) -> None:
         if not address.host:
             raise InputError(str(address), "names no host: write gpsd://HOST:PORT")
-        super().__init__(_with_port(address), hub, rank, TITLE, 9600)
+        super().__init__(replace(address, port=address.port or _PORT), hub, rank, TITLE, 9600)
         hub.correctors.remove(self._correct)  # gpsd has NTRIP of its own
         self._rest = b""
 
@@ -118,10 +118,6 @@ _FIELDS: Final = (
     "velE",
     "velD",
 )
-
-
-def _with_port(address: Address) -> Address:
-    return address if address.port else replace(address, port=_PORT)
 
 
 #: See ``SourceModule``.

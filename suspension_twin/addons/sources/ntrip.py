@@ -14,8 +14,9 @@ import contextlib
 import math
 import time
 from collections.abc import Sequence
-from datetime import datetime, timezone
 from typing import Final
+
+from pynmeagps import GET, NMEAMessage
 
 from suspension_twin import __version__
 from suspension_twin.addons.sources.common.connection import Address, PlainSource, Stay, keep_connected
@@ -145,21 +146,19 @@ def _gga(hub: Hub) -> bytes:
     device = hub.chosen.get("fix")
     if device is None or device.place is None:
         return b""
-    latitude, longitude, height = device.place
-    at = datetime.now(timezone.utc)
-
-    def angle(value: float, digits: int) -> str:
-        degrees, minutes = divmod(round(abs(value) * 60.0, 7), 60.0)
-        return f"{int(degrees):0{digits}d}{minutes:010.7f}"
-
-    body = (
-        f"GPGGA,{at:%H%M%S}.00,{angle(latitude, 2)},{'N' if latitude >= 0 else 'S'},"
-        f"{angle(longitude, 3)},{'E' if longitude >= 0 else 'W'},1,12,1.0,{height:.1f},M,0.0,M,,"
-    )
-    check = 0
-    for byte in body.encode():
-        check ^= byte
-    return f"${body}*{check:02X}\r\n".encode() if math.isfinite(height) else b""
+    latitude, longitude, height = (round(value, 9) for value in device.place)  # no 60.0 minutes
+    if not math.isfinite(height):
+        return b""
+    values = {
+        "lat": latitude,
+        "lon": longitude,
+        "alt": round(height, 1),
+        "quality": 1,
+        "numSV": 12,
+        "HDOP": 1.0,
+    }
+    sentence = NMEAMessage("GP", "GGA", GET, hpnmeamode=True, **values, altUnit="M", sepUnit="M", diffAge="")
+    return bytes(sentence.serialize())
 
 
 #: See ``SourceModule``.
