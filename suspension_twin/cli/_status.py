@@ -108,7 +108,7 @@ class UpdatedLines:
 
 
 def conclusion(composed: Composed, seconds: float) -> list[Text]:
-    """What a run of so many seconds has done."""
+    """The last lines of a run of so many seconds."""
     end, whole = composed.condition(), composed.model.whole_gap()
     lines = [Text(f"{end.answers} answers to {end.samples} IMU samples in {seconds:.1f} s")]
     if not math.isnan(whole):
