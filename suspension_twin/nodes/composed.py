@@ -322,7 +322,9 @@ class Composed:
             gap=model.gap_now(),
             complaints=[text for _, text in complaints],
             failing=any(level == ERROR for level, _ in complaints),
-            played=player and Played(player.position, player.duration, player.loops - int(player.done)),
+            played=None
+            if player is None
+            else Played(player.position, player.duration, player.loops - int(player.done)),
             learning=None if self.learner is None else self.learner.condition(),
         )
 

@@ -114,8 +114,8 @@ def rows(conditions: Mapping[str, Condition]) -> dict[str, TwinRow]:
     for name, c in conditions.items():
         found[name] = {
             "rate": _finite(c.rates["imu"]) or 0.0,
-            "gap": c.gap and _finite(c.gap.rms),
-            "normalised": c.gap and _finite(c.gap.normalised),
+            "gap": None if c.gap is None else _finite(c.gap.rms),
+            "normalised": None if c.gap is None else _finite(c.gap.normalised),
             "text": printable(c.complaints[0]) if c.complaints else "",
             "failing": c.failing,
         }
