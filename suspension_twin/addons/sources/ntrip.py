@@ -23,13 +23,10 @@ from suspension_twin.addons.sources.common.connection import Address, PlainSourc
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.errors import InputError
 
-__all__ = ["EXAMPLE", "STEPS", "TITLE", "Ntrip", "make"]
+__all__ = ["EXAMPLE", "TITLE", "Ntrip", "make"]
 
 TITLE = "NTRIP caster"
 EXAMPLE = "ntrip://user:password@caster.example:2101/MOUNT"
-STEPS: Final = (
-    "The receiver needs the same frequency bands as the caster's station, some 30 km at most from it.",
-)
 
 _PORT: Final = 2101
 _PATIENCE: Final = 30.0  # s without a byte after which the connection is made anew
@@ -40,7 +37,9 @@ _EVERY: Final = 10.0  # s between two positions for the caster
 class Ntrip(PlainSource):
     """One mountpoint of one caster."""
 
-    steps: Sequence[str] = STEPS
+    steps: Sequence[str] = (
+        "The receiver needs the same frequency bands as the caster's station, some 30 km at most from it.",
+    )
 
     def __init__(self, address: Address, hub: Hub, rank: int) -> None:
         address.check_options(("gga",))
