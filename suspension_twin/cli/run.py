@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, Protocol
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
@@ -182,17 +182,17 @@ class RunSettings:
     ros: RosSettings
 
 
-class Companion(Protocol):
+class Companion:
     """Something beside the four nodes. To make it checks its option: InputError for what cannot be used."""
 
     #: Files that it writes, checked and announced before the start.
-    files: Sequence[Path]
+    files: Sequence[Path] = ()
     #: s that it may take after Ctrl-C; a second one ends it.
-    patience: float
+    patience = 0.0
 
-    def beside(self, composed: Composed, stop: Stop) -> AbstractContextManager[None]:
+    def beside(self, _composed: Composed, _stop: Stop) -> AbstractContextManager[None]:
         """Runs while the nodes do."""
-        ...
+        return nullcontext()
 
 
 #: By the name of their option.
