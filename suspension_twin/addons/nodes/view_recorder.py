@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import struct
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
+from itertools import chain, count
 from pathlib import Path
 
 import numpy as np
@@ -180,12 +181,7 @@ class ViewRecorder:
         self._view.update("record", {"on": on, "seconds": seconds, "path": path})
 
 
-def _names(path: Path) -> Iterator[Path]:
-    yield path
-    for number in range(2, 1000):
-        yield path.with_name(f"{path.stem}_{number}{path.suffix}")
-
-
 def unused(path: Path) -> Path:
     """The path, or one with a number that nothing has yet."""
-    return next(name for name in _names(path) if not name.exists())
+    numbered = (path.with_name(f"{path.stem}_{number}{path.suffix}") for number in count(2))
+    return next(name for name in chain([path], numbered) if not name.exists())
