@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from suspension_twin.addons.roads.drives.drives import Part, road_from_drives, surface_of
+from suspension_twin.addons.roads.drives.drives import DrivenPart, road_from_drives, surface_of
 from suspension_twin.addons.roads.drives.estimate import RoadEstimateSettings
 from suspension_twin.addons.roads.pictures import estimate_figure, save_picture
 from suspension_twin.arrays import Floats, runs
@@ -122,7 +122,9 @@ def best(prediction: Any, measured: Floats) -> tuple[float, float, float]:
 def judged(drive: Drive, twin: Twin, whole: Observation, pair: Pair, picture: Path | None) -> dict[str, Any]:
     """One ordered pair: the road of the first pass under the second."""
     (a0, a1), (b0, b1) = pair.first, pair.second
-    found = road_from_drives([Part(drive, a0 - MARGIN, a1 + MARGIN)], twin, RoadEstimateSettings(samples=3))
+    found = road_from_drives(
+        [DrivenPart(drive, a0 - MARGIN, a1 + MARGIN)], twin, RoadEstimateSettings(samples=3)
+    )
     road = surface_of(found)
     begin = float(whole.t[0])
     second = observe(drive, twin, road).part(begin + b0 - MARGIN, begin + b1 + MARGIN)

@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from suspension_twin.addons.roads.drives.drives import Part, road_from_drives, write_estimate
+from suspension_twin.addons.roads.drives.drives import DrivenPart, road_from_drives, write_estimate
 from suspension_twin.addons.roads.drives.estimate import RoadEstimateSettings
 from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, Samples, VelocityData
 from suspension_twin.files import Json, replacing, together
@@ -209,7 +209,7 @@ def learn_road(lesson: Lesson, progress: Callable[[str, float], None] = lambda t
     for number, (which, start, end) in enumerate(lesson.passes, 1):
         drive = lesson.drives[which]
         first = float(drive.imu.t[0])
-        parts.append(Part(drive, start - first, end - first, f"pass {number}"))
+        parts.append(DrivenPart(drive, start - first, end - first, f"pass {number}"))
     found = road_from_drives(parts, twin, _SETTINGS, progress)
     out = Path(lesson.out)
     with together():
