@@ -123,7 +123,7 @@ setup(
         "console_scripts": [
             "suspension-twin = suspension_twin.cli.main:main",
             *(
-                f"{node} = suspension_twin.{package}.{node}:main"
+                f"{node} = suspension_twin.{package}.{node}:{node.title().replace('_', '')}Node.main"
                 for package, nodes in NODES.items()
                 for node in nodes
             ),

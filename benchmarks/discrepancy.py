@@ -75,7 +75,7 @@ def shares(results: Sequence[Comparison]) -> dict[str, float]:
     return {c: float(np.mean([share(r, c) for r in results])) for c in CHANNELS}
 
 
-def variants(twin: Twin, quick: bool) -> list[tuple[str, Twin, tuple[str, ...]]]:
+def variants(twin: Twin, smoke: bool) -> list[tuple[str, Twin, tuple[str, ...]]]:
     """Name, twin to start from, and what is free where it is not all that the twin has."""
     fine = refined(twin)
     curves = fine.with_changes({f"vehicle.{axle}.linkage": None for axle in AXLES})
@@ -88,7 +88,7 @@ def variants(twin: Twin, quick: bool) -> list[tuple[str, Twin, tuple[str, ...]]]
         ("fine springs", curves, own(curves)),
         ("links", fine, ()),
     ]
-    if not quick:
+    if not smoke:
         out += [(f"links, {name}", fine.with_changes(keys), ()) for name, keys in FURTHER.items()]
     return out
 
@@ -147,11 +147,11 @@ def near_bumps(r: Comparison) -> Mask:
     return np.asarray((last >= 0) & (r.t - times[np.maximum(last, 0)] <= AFTER))
 
 
-def run(case: Path, held_out: Sequence[str], quick: bool, tell: Console) -> dict[str, object]:
+def run(case: Path, held_out: Sequence[str], smoke: bool, tell: Console) -> dict[str, object]:
     """All figures of one case."""
     twin = load_twin(case / "twin.yaml")
     names = sorted(p.parent.name for p in case.glob("*/metadata.yaml"))
-    fitted = [n for n in names if n not in held_out][: 1 if quick else None]
+    fitted = [n for n in names if n not in held_out][: 1 if smoke else None]
     if not fitted or not set(held_out) <= set(names):
         raise SystemExit(
             f"{case}: has the drives {', '.join(names)}: hold out some of them and fit on the others"
@@ -161,7 +161,7 @@ def run(case: Path, held_out: Sequence[str], quick: bool, tell: Console) -> dict
         table.add_column(title)
     document: dict[str, object] = {}
     last: list[Comparison] = []
-    for name, start, free in variants(twin, quick):
+    for name, start, free in variants(twin, smoke):
         found = calibrate(start, [str(case / n) for n in fitted], free=free).twin
         results = [simulate(case / n, found) for n in held_out]
         document[name] = row = shares(results)
@@ -199,12 +199,11 @@ def main() -> None:
     parser.add_argument("case", nargs="?", type=Path, default=default_case())
     parser.add_argument("--held-out", nargs="+", default=["drive_fast", "drive_other"])
     parser.add_argument("--json", action="store_true")
-    parser.add_argument("--quick", action="store_true")
-    given = parse_options(parser, quick=True)
+    given = parse_options(parser)
     if not (given.case / "twin.yaml").is_file():
         unavailable(f"{given.case}: has no twin.yaml; name a folder with a twin, a road and drives")
     tell = Console(stderr=given.json)
-    document = run(given.case, given.held_out, given.quick, tell)
+    document = run(given.case, given.held_out, given.smoke, tell)
     if given.json:
         print(json.dumps(document, indent=2))
 

@@ -411,7 +411,7 @@ def _live(bag: Path) -> Item:
                 outputs.links.append(partial(hear, name))
             while not composed.finished:
                 composed.step()
-            whole = composed.condition().whole_gap
+            whole = composed.model.whole_gap()
             composed.close()
             return whole
 

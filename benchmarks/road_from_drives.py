@@ -53,7 +53,7 @@ from suspension_twin.addons.roads.drives.estimate import (  # noqa: E402
 )
 from suspension_twin.addons.roads.drives.passes import banded, lags_along  # noqa: E402
 from suspension_twin.addons.roads.drives.vehicle import PARAMETERS, scaled_twin  # noqa: E402
-from suspension_twin.addons.roads.pictures import save_estimate_picture  # noqa: E402
+from suspension_twin.addons.roads.pictures import estimate_figure, save_picture  # noqa: E402
 from suspension_twin.arrays import Floats  # noqa: E402
 from suspension_twin.drive.types import Drive  # noqa: E402
 from suspension_twin.inference.simulated import simulate_drive  # noqa: E402
@@ -111,7 +111,7 @@ def rtk(site: Site, picture: Path | None) -> dict[str, Any]:
     found = road_from_drives(drives, site.twin, RoadEstimateSettings())
     truth = wheel_truth(site, found)
     if picture is not None:
-        save_estimate_picture(found, picture, truth)
+        save_picture(estimate_figure(found, truth), picture)
     own, true = (banded(z, STEP, *SEEN_BAND) for z in (found.profiles.middle, truth))
     sigma, k = found.sigma(), compared(found)
     out: dict[str, Any] = {}

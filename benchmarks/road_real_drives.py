@@ -28,9 +28,9 @@ from extras import unavailable
 from matplotlib.figure import Figure
 from options import parse_options
 
-from suspension_twin.addons.roads.drives.drives import Part, road_from_drives, surface_of
+from suspension_twin.addons.roads.drives.drives import DrivenPart, road_from_drives, surface_of
 from suspension_twin.addons.roads.drives.estimate import RoadEstimateSettings
-from suspension_twin.addons.roads.pictures import save_estimate_picture
+from suspension_twin.addons.roads.pictures import estimate_figure, save_picture
 from suspension_twin.arrays import Floats, runs
 from suspension_twin.drive.importing import import_drive
 from suspension_twin.drive.types import Drive
@@ -124,7 +124,9 @@ def best(prediction: Any, measured: Floats) -> tuple[float, float, float]:
 def judged(drive: Drive, twin: Twin, whole: Observation, pair: Pair, picture: Path | None) -> dict[str, Any]:
     """One ordered pair: the road of the first pass under the second."""
     (a0, a1), (b0, b1) = pair.first, pair.second
-    found = road_from_drives([Part(drive, a0 - MARGIN, a1 + MARGIN)], twin, RoadEstimateSettings(samples=3))
+    found = road_from_drives(
+        [DrivenPart(drive, a0 - MARGIN, a1 + MARGIN)], twin, RoadEstimateSettings(samples=3)
+    )
     road = surface_of(found)
     begin = float(whole.t[0])
     second = observe(drive, twin, road).part(begin + b0 - MARGIN, begin + b1 + MARGIN)
@@ -161,7 +163,7 @@ def judged(drive: Drive, twin: Twin, whole: Observation, pair: Pair, picture: Pa
     left = float(np.sqrt(np.mean((measured - simulated)[k] ** 2)))
     if picture is not None:
         _draw(picture, t[k], measured[k], of_twin(twin_shift), of_pass(pass_shift), (twin_r, pass_r))
-        save_estimate_picture(found, picture.with_name(picture.stem + "_road.png"))
+        save_picture(estimate_figure(found), picture.with_name(picture.stem + "_road.png"))
     return {
         "first": list(pair.first),
         "second": list(pair.second),

@@ -50,7 +50,7 @@ from extras import unavailable  # noqa: E402
 from options import parse_options  # noqa: E402
 from scanners import Ground, Scan, mobile, terrestrial  # noqa: E402
 
-from suspension_twin.addons.roads.pictures import save_scan_picture  # noqa: E402
+from suspension_twin.addons.roads.pictures import save_picture, scan_figure  # noqa: E402
 from suspension_twin.addons.roads.scan.clouds import Cloud, Georeference  # noqa: E402
 from suspension_twin.addons.roads.scan.response import (  # noqa: E402
     road_responses,
@@ -274,7 +274,7 @@ def case(site: Site, scanner: str, seed: int, picture: Path | None = None) -> di
         row["road scan"]["filled_mm"] = compare(site, found.road, filled, paths)["error_mm"]
     if picture is not None:
         shown = {"edge-preserving": found.edges, "Gaussian, 0.1 m": found.gaussian, "truth": site.road()}
-        save_scan_picture(found, road_responses(shown, "edge-preserving", car, drive), picture)
+        save_picture(scan_figure(found, road_responses(shown, "edge-preserving", car, drive)), picture)
     return row
 
 

@@ -5,21 +5,22 @@ from __future__ import annotations
 
 import math
 import time
-from typing import TYPE_CHECKING, final
+from collections.abc import Callable, Iterable, Sequence
+from typing import TYPE_CHECKING
 
-from rich.console import Console
+from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
 from suspension_twin.errors import printable
 
 if TYPE_CHECKING:
+    from typing import Self  # of Python 3.11
+
     from suspension_twin.nodes.composed import Composed, Condition
 
-__all__ = ["Status", "line", "say"]
+__all__ = ["UpdatedLines", "complaint", "conclusion", "line", "say"]
 
-#: Seconds between lines on a terminal, and in a log.
-_PERIOD, _LOG_PERIOD = 1.0, 10.0
 _WIDTH = 80
 
 
@@ -31,20 +32,23 @@ def say(text: str) -> None:
 def line(condition: Condition) -> Text:
     """``condition`` in a line of at most 80 columns; below it the learnt road, and complaints in colour."""
     parts = []
-    if condition.position is not None:
-        again = f", round {condition.rounds + 1}" if condition.rounds else ""
-        parts.append(f"{condition.position:.0f} of {condition.duration:.0f} s{again}")
+    if (played := condition.played) is not None:
+        again = f", round {played.rounds + 1}" if played.rounds else ""
+        parts.append(f"{played.position:.0f} of {played.duration:.0f} s{again}")
     known = (f"{n} {'-' if math.isnan(r) else f'{r:.0f}'}" for n, r in condition.rates.items())
-    times = "" if condition.normalised is None else f" ({condition.normalised:.1f} ×)"
-    gap = "-" if condition.gap is None else f"{condition.gap:.2f} m/s²{times}"
-    text = Text(_fitting([*parts, f"{', '.join(known)} Hz", f"gap {gap}"]))
+    text = Text(_fitting([*parts, f"{', '.join(known)} Hz", f"gap {condition.gap or '-'}"]))
     if condition.learning is not None:
         text.append(f"\n{condition.learning[:_WIDTH]}")
     if condition.complaints:
-        more = f" (+{len(condition.complaints) - 1})" if len(condition.complaints) > 1 else ""
-        style = "bold red" if condition.failing else "yellow"
-        text.append("\n").append(condition.complaints[0] + more, style=style)
+        text.append("\n").append(complaint(condition))
     return text
+
+
+def complaint(condition: Condition) -> Text:
+    """The first complaint and how many there are beside it, in colour."""
+    first, *others = condition.complaints
+    more = f" (+{len(others)})" if others else ""
+    return Text(printable(first) + more, style="bold red" if condition.failing else "yellow")
 
 
 def _fitting(parts: list[str]) -> str:
@@ -57,49 +61,56 @@ def _fitting(parts: list[str]) -> str:
     return next((text for text in texts if len(text) <= _WIDTH), texts[-1][:_WIDTH])
 
 
-@final
-class Status:
-    """Shows the condition once a second on a terminal, every ten seconds in a log."""
+class UpdatedLines:
+    """Lines that are brought up to date in place on a terminal every ``period`` s, and printed in a log every
+    ``log_period`` s."""
 
-    def __init__(self, composed: Composed, console: Console | None = None) -> None:
-        self._composed = composed
-        self._console = console or Console(stderr=True, highlight=False, soft_wrap=True)
-        self._live = Live(
-            console=self._console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False
-        )
-        self._began = time.monotonic()
-        self._due = self._began + _PERIOD
+    def __init__(self, console: Console | None = None, period: float = 1.0, log_period: float = 10.0) -> None:
+        self.console = console or Console(stderr=True, highlight=False, soft_wrap=True)
+        self._live: Live | None = None
+        if self.console.is_terminal:
+            self._live = Live(
+                console=self.console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False
+            )
+        self._period = period if self._live else log_period
+        self._due = time.monotonic() + period
 
-    def __enter__(self) -> Status:
-        if self._console.is_terminal:
+    def __enter__(self) -> Self:
+        if self._live is not None:
             self._live.start()
         return self
 
     def __exit__(self, *exception: object) -> None:
-        self._live.stop()
+        if self._live is not None:
+            self._live.stop()
 
-    def show(self) -> None:
-        """Bring the line up to date, if it is due."""
-        now = time.monotonic()
-        if now < self._due:
+    def say(self, lines: Iterable[Text]) -> None:
+        """Lines that stay."""
+        for text in lines:
+            self.console.print(text)
+
+    def show(self, lines: Callable[[], Sequence[Text]]) -> None:
+        """These lines, where it is time to; none: not yet."""
+        if time.monotonic() < self._due or not (made := lines()):
             return
-        text = line(self._composed.condition())
-        if self._console.is_terminal:
-            self._live.update(text, refresh=True)
-            self._due = now + _PERIOD
+        if self._live is not None:
+            self._live.update(Group(*made), refresh=True)
         else:
-            self._console.print(text)
-            self._due = now + _LOG_PERIOD
+            self.say(made)
+        self._due = time.monotonic() + self._period
 
-    def conclude(self) -> None:
-        """Print the last line, in place of the one that was updated."""
-        if self._live.is_started:
+    def conclude(self, lines: Iterable[Text]) -> None:
+        """Lines that stay in place of those that were updated."""
+        if self._live is not None:
             self._live.update(Text(""), refresh=True)
             self._live.stop()
-        condition = self._composed.condition()
-        seconds = time.monotonic() - self._began
-        self._console.print(
-            Text(f"{condition.answers} answers to {condition.samples} IMU samples in {seconds:.1f} s")
-        )
-        if condition.whole_gap is not None:
-            self._console.print(Text(f"Gap over the whole drive: {condition.whole_gap:.3f} m/s² rms"))
+        self.say(lines)
+
+
+def conclusion(composed: Composed, seconds: float) -> list[Text]:
+    """The last lines of a run of so many seconds."""
+    end, whole = composed.condition(), composed.model.whole_gap()
+    lines = [Text(f"{end.answers} answers to {end.samples} IMU samples in {seconds:.1f} s")]
+    if not math.isnan(whole):
+        lines.append(Text(f"Gap over the whole drive: {whole:.3f} m/s² rms"))
+    return lines

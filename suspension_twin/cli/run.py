@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, Protocol
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
@@ -182,17 +182,17 @@ class RunSettings:
     ros: RosSettings
 
 
-class Companion(Protocol):
+class Companion:
     """Something beside the four nodes. To make it checks its option: InputError for what cannot be used."""
 
     #: Files that it writes, checked and announced before the start.
-    files: Sequence[Path]
+    files: Sequence[Path] = ()
     #: s that it may take after Ctrl-C; a second one ends it.
-    patience: float
+    patience = 0.0
 
-    def beside(self, composed: Composed, stop: Stop) -> AbstractContextManager[None]:
+    def beside(self, _composed: Composed, _stop: Stop) -> AbstractContextManager[None]:
         """Runs while the nodes do."""
-        ...
+        return nullcontext()
 
 
 #: By the name of their option.
@@ -291,12 +291,13 @@ def _playback(bag: Path, speed: float, loop: bool, delay: float) -> Playback:
 
 
 def _run(composed: Composed, stop_asked: Callable[[], bool], bag: Path | None) -> None:
-    from suspension_twin.cli._status import Status
+    from suspension_twin.cli._status import UpdatedLines, conclusion, line
 
-    with Status(composed) as status:
+    began = time.monotonic()
+    with UpdatedLines() as lines:
         while not (stop_asked() or composed.finished):
             composed.step()
-            status.show()
+            lines.show(lambda: [line(composed.condition())])
         until = time.monotonic() + 0.2
         while composed.finished and not stop_asked() and time.monotonic() < until:
             composed.step()
@@ -304,4 +305,4 @@ def _run(composed: Composed, stop_asked: Callable[[], bool], bag: Path | None) -
         if composed.finished and not end.answers:
             why = f": {end.complaints[0]}" if end.complaints else ""
             raise WorkError(f"{bag}: the twin answered none of {end.samples} IMU samples{why}")
-        status.conclude()
+        lines.conclude(conclusion(composed, time.monotonic() - began))

@@ -28,15 +28,15 @@ from suspension_twin.drive.clocks import (
     week_to_posix,
 )
 from suspension_twin.drive.foreign_files import DataTable, RecordedFiles, read_table
-from suspension_twin.drive.importers import load_importer, read_source
+from suspension_twin.drive.importers import IMPORTERS, read_source
 from suspension_twin.drive.streams import Series, Streams, velocities_from_course
 from suspension_twin.drive.types import FixData, HeadingData, VelocityData
 from suspension_twin.errors import InputError
-from suspension_twin.files import parse_yaml, read_yaml, reading
+from suspension_twin.files import read_yaml, reading
 from suspension_twin.schema import Strict, checked
 from suspension_twin.units import STANDARD_GRAVITY
 
-__all__ = ["BagSpec", "Mapping", "load_mapping", "parse_mapping", "read_mapped"]
+__all__ = ["BagSpec", "Mapping", "load_mapping", "read_mapped"]
 
 FORCE_UNITS: Final = {
     "m/s2": 1.0,
@@ -288,18 +288,10 @@ TimeSpec.model_rebuild()
 def load_mapping(path: str | Path) -> Mapping:
     """Read and check a mapping file; InputError names the file and the key."""
     with reading(path, "a mapping file"):
-        return _checked(read_yaml(path), path)
-
-
-def parse_mapping(text: str, source: str | Path = "mapping") -> Mapping:
-    """Check the text of a mapping file; InputError names ``source`` and the key."""
-    return _checked(parse_yaml(text, source), source)
-
-
-def _checked(data: object, source: str | Path) -> Mapping:
-    if not isinstance(data, dict):
-        raise InputError(source, "not a mapping file: keys imu, fix, vel or bag are expected")
-    return checked(Mapping, data, source, "a mapping file")
+        data = read_yaml(path)
+        if not isinstance(data, dict):
+            raise InputError(path, "not a mapping file: keys imu, fix, vel or bag are expected")
+        return checked(Mapping, data, path, "a mapping file")
 
 
 # Reading by a mapping
@@ -376,7 +368,7 @@ class _Files:
             recording, found = self.located(spec.file)
             if recording.path.is_dir():
                 recording = RecordedFiles(recording.path / found)
-        return read_source(recording, load_importer(spec.importer))
+        return read_source(recording, IMPORTERS.named(spec.importer, "importer"))
 
 
 def _vector(files: _Files, spec: VectorSpec, imu: ImuSpec, units: MappingOf[str, float]) -> Series:

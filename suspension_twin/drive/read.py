@@ -101,7 +101,9 @@ def _read(path: str | Path, topics: Topics) -> Drive:
     names = {role: topic_name(name) for role, name in asdict(topics).items()}
     contents = read_recording(path, set(names.values()))
     for role, name in names.items():
-        _check_type(path, contents, role, name)
+        have = contents.types.get(name)
+        if have is not None and have not in TYPES[role]:
+            raise InputError(path, name, f"holds {have}, but {role} needs {TYPES[role][0]}")
     if names["imu"] not in contents.types:
         raise InputError(path, names["imu"], _no_imu(contents))
     columns = {f.name: _Columns.of(contents, names[f.name]) for f in fields(Topics)}
@@ -126,12 +128,6 @@ def drive_name(path: str | Path) -> str:
     """Name of a drive from where it lies."""
     path = Path(path)
     return path.name if path.is_dir() else path.name.split(".", 1)[0] or path.name
-
-
-def _check_type(path: str | Path, contents: Contents, role: str, name: str) -> None:
-    have = contents.types.get(name)
-    if have is not None and have not in TYPES[role]:
-        raise InputError(path, name, f"holds {have}, but {role} needs {TYPES[role][0]}")
 
 
 def _no_imu(contents: Contents) -> str:

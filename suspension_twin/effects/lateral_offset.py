@@ -26,7 +26,7 @@ EFFECT = Effect(
     ),
     order=210,
     severity=("offset",),
-    excited_by=("roads whose wheel tracks differ",),
+    excited_by=("roads whose wheel paths differ",),
     confused_with=("corner_damper", "road_scale"),
     hook=Hook(road=_road, models=("full_car", "msd")),
     finding=_finding,

@@ -40,6 +40,10 @@ class GapNow:
     bands: tuple[float, ...]
     samples: int
 
+    def __str__(self) -> str:
+        times = "" if math.isnan(self.normalised) else f" ({self.normalised:.1f} ×)"
+        return f"{self.rms:.2f} m/s²{times}"
+
 
 class RunningGap:
     """Measured minus simulated vertical acceleration, both through the same filter.

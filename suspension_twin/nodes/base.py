@@ -30,6 +30,7 @@ from rclpy.subscription import Subscription
 
 from suspension_twin.live.twin import DigitalTwin
 from suspension_twin.nodes.parameters import Param, ParameterSet, Values
+from suspension_twin.nodes.process import run_alone
 from suspension_twin.nodes.topics import (
     ERROR,
     OK,
@@ -155,6 +156,13 @@ class TwinNode(Node):  # type: ignore[misc]
 
     common: tuple[Param, ...] = COMMON
     parameters: tuple[Param, ...] = ()
+    #: Whether rclpy's events executor serves the node in a process of its own.
+    events = False
+
+    @classmethod
+    def main(cls, args: list[str] | None = None) -> int:
+        """Run the node in this process until it is asked to stop; return the exit status."""
+        return run_alone(cls, args, cls.events)
 
     def __init__(self, name: str, embedding: Embedding | None = None) -> None:
         self.embedding = embedding or Embedding()

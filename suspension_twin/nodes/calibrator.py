@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -35,11 +34,10 @@ from suspension_twin.nodes.jobs import (
     run_diagnosis,
 )
 from suspension_twin.nodes.parameters import TWIN, Param, Values, twin_of
-from suspension_twin.nodes.process import run_alone
 from suspension_twin.nodes.topics import OK, WARN, Embedding
 from suspension_twin_interfaces.action import Calibrate, Diagnose
 
-__all__ = ["CalibratorNode", "main"]
+__all__ = ["CalibratorNode"]
 
 #: Period in s at which the worker's messages are read.
 _TICK = 0.02
@@ -278,9 +276,3 @@ class CalibratorNode(TwinNode):
         running.finished.set_result(running.outcome)
         if self.executor is not None:
             self.executor.wake()
-
-
-main = partial(run_alone, CalibratorNode)
-
-if __name__ == "__main__":
-    sys.exit(main())

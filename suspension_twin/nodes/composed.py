@@ -27,6 +27,7 @@ from rclpy.validate_namespace import validate_namespace
 
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError, SuspensionTwinError, WorkError
+from suspension_twin.live.gap import GapNow
 from suspension_twin.live.twin import DigitalTwin
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.calibrator import CalibratorNode
@@ -84,25 +85,29 @@ class Playback:
 
 
 @dataclass(frozen=True)
+class Played:
+    """How far a playback is: ``position`` and ``duration`` s, ``rounds`` done."""
+
+    position: float
+    duration: float
+    rounds: int
+
+
+@dataclass(frozen=True)
 class Condition:
     """State of a running twin.
 
-    ``rates`` Hz by short name; ``gap`` m/s² of the sliding window and ``normalised``, ``whole_gap`` m/s² since the
-    beginning, None while not known; ``complaints`` errors first, ``failing`` whether one is an error; ``position`` and
-    ``duration`` s of a playback, None when live, and its ``rounds`` done; ``learning`` what is known of the road, if it
-    is learnt."""
+    ``rates`` Hz by short name; ``gap`` of the sliding window, None while not known; ``complaints`` errors first,
+    ``failing`` whether one is an error; ``played`` None when live; ``learning`` what is known of the road, if it is
+    learnt."""
 
     rates: dict[str, float]
     samples: int
     answers: int
-    gap: float | None
-    whole_gap: float | None
-    normalised: float | None
+    gap: GapNow | None
     complaints: list[str]
     failing: bool
-    position: float | None
-    duration: float | None
-    rounds: int
+    played: Played | None = None
     learning: str | None = None
 
 
@@ -309,19 +314,17 @@ class Composed:
             (level, f"{n}: {text}") for n, o in self.nodes.items() for level, text in o.health.complaints()
         ]
         complaints.sort(key=lambda c: c[0], reverse=True)
-        gap, whole = model.gap_now(), model.whole_gap()
+        player = self.player
         return Condition(
             rates={short: inputs[topic].rate for short, topic in shown.items()},
             samples=ingest.inputs["imu/data_raw"].state.received,
             answers=model.outputs["twin/vertical_acceleration"].sent,
-            gap=None if gap is None else gap.rms,
-            whole_gap=None if math.isnan(whole) else whole,
-            normalised=None if gap is None or math.isnan(gap.normalised) else gap.normalised,
+            gap=model.gap_now(),
             complaints=[text for _, text in complaints],
             failing=any(level == ERROR for level, _ in complaints),
-            position=None if self.player is None else self.player.position,
-            duration=None if self.player is None else self.player.duration,
-            rounds=0 if self.player is None else self.player.loops - int(self.player.done),
+            played=None
+            if player is None
+            else Played(player.position, player.duration, player.loops - int(player.done)),
             learning=None if self.learner is None else self.learner.condition(),
         )
 

@@ -7,9 +7,7 @@ goes through them here.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
-from functools import partial
 
 from geometry_msgs.msg import AccelStamped
 from sensor_msgs.msg import Imu
@@ -29,11 +27,10 @@ from suspension_twin.nodes.parameters import (
     low_pass_text,
     twin_of,
 )
-from suspension_twin.nodes.process import run_alone
 from suspension_twin.nodes.topics import Embedding
 from suspension_twin.signals.imu import ImuSettings, StillLimits
 
-__all__ = ["ImuIngestNode", "main"]
+__all__ = ["ImuIngestNode"]
 
 _DEFAULT = ImuSettings()
 _STILL = StillLimits()
@@ -203,9 +200,3 @@ def _settings(values: Values) -> ImuSettings:
         attitude_time=values["attitude_time"],
         still=StillLimits(**{k: values[f"still.{k}"] for k in ("window", "force", "rate", "turn")}),
     )
-
-
-main = partial(run_alone, ImuIngestNode)
-
-if __name__ == "__main__":
-    sys.exit(main())

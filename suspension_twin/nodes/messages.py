@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final
 
 import numpy as np
 from geometry_msgs.msg import Quaternion, QuaternionStamped, TwistStamped
@@ -19,6 +20,7 @@ from suspension_twin.nodes.topics import NS, Message
 from suspension_twin.pose.lock import PlanarMotion, PlanarState
 
 __all__ = [
+    "SENSORS",
     "fill_fix",
     "fill_heading",
     "fill_imu",
@@ -121,6 +123,15 @@ def fill_heading(heading: HeadingData, message: QuaternionStamped, i: int) -> No
     message.header.frame_id = "map"
     yaw = float(heading.yaw[i])
     message.quaternion.z, message.quaternion.w = math.sin(yaw / 2), math.cos(yaw / 2)
+
+
+#: Topics of the sensors by stream: type, name, and the function that puts a sample into a message.
+SENSORS: Final[Mapping[str, tuple[type, str, Callable[[Any, Any, int], None]]]] = {
+    "imu": (Imu, "imu/data_raw", fill_imu),
+    "fix": (NavSatFix, "fix", fill_fix),
+    "vel": (TwistStamped, "vel", fill_velocity),
+    "heading": (QuaternionStamped, "heading", fill_heading),
+}
 
 
 def read_imu(messages: Sequence[Imu]) -> ImuData:

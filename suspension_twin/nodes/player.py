@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import QuaternionStamped, TwistStamped
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
 from rclpy.clock import Clock as SystemClock
 from rclpy.clock_type import ClockType
@@ -20,11 +19,10 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import Imu, NavSatFix
 
 from suspension_twin.drive.types import Drive, HeadingData
 from suspension_twin.live.twin import schedule
-from suspension_twin.nodes.messages import fill_fix, fill_heading, fill_imu, fill_velocity
+from suspension_twin.nodes.messages import SENSORS
 from suspension_twin.nodes.topics import NS, STREAM_QOS, Embedding, Outbox, Output
 
 __all__ = ["BagPlayer"]
@@ -83,17 +81,14 @@ class BagPlayer(Node):  # type: ignore[misc]
         self._outbox = embedding.outbox or Outbox()
         self._clock_out = self.create_publisher(Clock, "/clock", 10)
         self.outputs: dict[str, Output] = {}
-        heading = drive.heading
-        self._roles = (
-            self._role(Imu, "imu/data_raw", partial(fill_imu, drive.imu)),
-            self._role(NavSatFix, "fix", partial(fill_fix, drive.fix)),
-            self._role(TwistStamped, "vel", partial(fill_velocity, drive.velocity)),
-            self._role(
-                QuaternionStamped,
-                "heading",
-                partial(fill_heading, heading or HeadingData(np.empty(0), np.empty(0))),
-            ),
-        )
+        heading = drive.heading or HeadingData(np.empty(0), np.empty(0))
+        self._roles: list[tuple[Output, Any, Callable[[Any, int], None]]] = []
+        streams = (drive.imu, drive.fix, drive.velocity, heading)
+        for (kind, topic, fill), samples in zip(SENSORS.values(), streams, strict=True):
+            output = self.outputs[topic] = Output(
+                self.create_publisher(kind, topic, STREAM_QOS), self._outbox
+            )
+            self._roles.append((output, kind(), partial(fill, samples)))
         self._ns, self._kind, self._index = schedule(drive)
         self._when = np.maximum.accumulate(self._ns)
         self.start = int(self._ns[0])
@@ -172,10 +167,6 @@ class BagPlayer(Node):  # type: ignore[misc]
     def _go_on_from(self, position: float) -> None:
         self._began = time.monotonic() - (position / self.rate if self.rate < math.inf else 0.0)
         self._clock_due = 0.0
-
-    def _role(self, kind: type, topic: str, fill: Callable[[Any, int], None]) -> tuple[Output, Any, Any]:
-        output = self.outputs[topic] = Output(self.create_publisher(kind, topic, STREAM_QOS), self._outbox)
-        return output, kind(), fill
 
     def reset(self, delay: float = 0.0) -> None:
         """Back to the beginning, which is ``delay`` s from now."""

@@ -7,8 +7,6 @@ It is the second stage of :class:`~suspension_twin.live.twin.DigitalTwin`.
 from __future__ import annotations
 
 import math
-import sys
-from functools import partial
 
 from geometry_msgs.msg import QuaternionStamped, TwistStamped
 from nav_msgs.msg import Odometry
@@ -29,13 +27,12 @@ from suspension_twin.nodes.parameters import (
     low_pass_text,
     twin_of,
 )
-from suspension_twin.nodes.process import run_alone
 from suspension_twin.nodes.topics import Embedding
 from suspension_twin.pose.types import PoseSettings
 from suspension_twin.vehicle.twin import Datum
 from suspension_twin_interfaces.srv import SetDatum
 
-__all__ = ["PoseInjectorNode", "main"]
+__all__ = ["PoseInjectorNode"]
 
 _COUNTED = {
     "unusable": "unusable fixes or velocities (no fix, not finite, too uncertain), dropped",
@@ -211,9 +208,3 @@ def _datum(values: Values) -> Datum | None:
         return Datum(**{k: values[f"datum.{k}"] for k in ("latitude", "longitude", "altitude")})
     twin = twin_of(values)
     return None if twin is None or values["datum.source"] == "first_fix" else twin.datum
-
-
-main = partial(run_alone, PoseInjectorNode)
-
-if __name__ == "__main__":
-    sys.exit(main())

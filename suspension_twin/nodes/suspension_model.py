@@ -7,8 +7,6 @@ The vehicle model is :class:`~suspension_twin.models.live.LiveTwin`.
 from __future__ import annotations
 
 import math
-import sys
-from functools import partial
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -33,13 +31,12 @@ from suspension_twin.nodes.parameters import (
     low_pass_text,
     twin_of,
 )
-from suspension_twin.nodes.process import run_alone
 from suspension_twin.nodes.topics import ERROR, OK, WARN, Embedding
 from suspension_twin.nodes.twin_outputs import TwinOutputs
 from suspension_twin.pose.lock import PlanarState
 from suspension_twin_interfaces.srv import LoadTwin
 
-__all__ = ["SuspensionModelNode", "main"]
+__all__ = ["SuspensionModelNode"]
 
 #: The nodes whose low-pass has to be that of this one.
 FILTERING = ("imu_ingest", "pose_injector")
@@ -264,9 +261,3 @@ def _settings(values: Values) -> FollowSettings:
         warn=values["gap.warn"],
         acceleration_time=values["acceleration_time"],
     )
-
-
-main = partial(run_alone, SuspensionModelNode)
-
-if __name__ == "__main__":
-    sys.exit(main())

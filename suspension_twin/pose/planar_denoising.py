@@ -77,14 +77,13 @@ def wiener(
     x: Floats,
     rate: float,
     noise: Callable[[Floats], Floats],
-    seconds: float = _PIECE,
 ) -> Floats:
     """``x`` (n,) at ``rate`` Hz, Wiener filtered in overlapping segments for noise of the one-sided density
     ``noise(f)``.
 
     Straight lines pass unchanged, and so does ``x`` for zero noise.
     """
-    size = 4 * max(8, round(seconds * rate / 4))
+    size = 4 * max(8, round(_PIECE * rate / 4))
     hop = size // 4
     if x.size < size:
         return x.copy()

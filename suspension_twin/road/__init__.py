@@ -22,7 +22,6 @@ from suspension_twin.road.road import (
     ReferenceLine,
     Road,
     RoadHeights,
-    RoadTracker,
 )
 
 __all__ = [
@@ -33,7 +32,6 @@ __all__ = [
     "ReferenceLine",
     "Road",
     "RoadHeights",
-    "RoadTracker",
     "add_bump",
     "bump_road",
     "circular",

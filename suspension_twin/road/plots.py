@@ -19,7 +19,7 @@ from suspension_twin.road.check import PathFigures, RoadCheck, check_road, wheel
 from suspension_twin.road.road import Road
 from suspension_twin.road.roughness import CLASSES, N0, road_psd, roughness, smoothed_psd
 
-__all__ = ["road_figure", "save_road_picture"]
+__all__ = ["check_picture", "road_figure", "save_road_picture"]
 
 _LEFT, _RIGHT, _SPIKE, _INK, _FAINT = "#1f6fb2", "#d1661c", "#c2185b", "#22262b", "#8a929b"
 _STYLE: dict[str, object] = {
@@ -39,12 +39,16 @@ _STYLE: dict[str, object] = {
 
 def save_road_picture(road: Road | RoadCheck, path: str | os.PathLike[str], track: float = 1.5) -> None:
     """Draw :func:`road_figure` into a file (.png, .svg or .pdf). Raises InputError, WorkError."""
-    suffix = Path(path).suffix.lower()
-    if suffix not in (".png", ".svg", ".pdf"):
-        raise InputError(path, "a picture is written as .png, .svg or .pdf; name the file so")
+    check_picture(path)
     figure = road_figure(road, track)
     with replacing(path) as temporary:
-        figure.savefig(temporary, dpi=150, facecolor="white", format=suffix[1:])
+        figure.savefig(temporary, dpi=150, facecolor="white")
+
+
+def check_picture(path: str | os.PathLike[str]) -> None:
+    """Raise InputError for a file that is named neither .png nor .svg nor .pdf."""
+    if Path(path).suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise InputError(path, "a picture is written as .png, .svg or .pdf; name the file so")
 
 
 def road_figure(road: Road | RoadCheck, track: float = 1.5) -> Figure:

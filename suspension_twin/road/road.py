@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from suspension_twin.arrays import Floats
 from suspension_twin.display import axes_or_new, bulleted
-from suspension_twin.errors import InputError, WorkError
+from suspension_twin.errors import InputError
 from suspension_twin.road import kernels
 
 if TYPE_CHECKING:
@@ -32,7 +32,6 @@ __all__ = [
     "ReferenceLine",
     "Road",
     "RoadHeights",
-    "RoadTracker",
     "single_precision",
 ]
 
@@ -41,8 +40,6 @@ __all__ = [
 #: the road where data are missing; ``zero``: height 0; ``error``: an :class:`InputError`.
 Outside = Literal["road", "hold", "zero", "error"]
 
-#: A position is followed from the one before within this many steps, or metres (as in OpenCRG).
-_FOLLOW_STEPS, _FOLLOW = 20.0, 1.5
 
 _MODES: Final = {"hold": (2, 2), "zero": (1, 1), "error": (2, 2)}
 
@@ -127,12 +124,11 @@ class ReferenceLine:
 class RoadHeights:
     """Heights, and which of them rest on data; arrays of the positions' shape.
 
-    ``z`` m, never a NaN; ``inside`` False where the road has no data; ``outside`` the policy of these positions.
+    ``z`` m, never a NaN; ``inside`` False where the road has no data.
     """
 
     z: Floats
     inside: NDArray[np.bool_]
-    outside: Outside
 
 
 def single_precision(z: ArrayLike) -> Floats:
@@ -349,7 +345,7 @@ class Road:
     def sample_uv(self, u: ArrayLike, v: ArrayLike, outside: Outside = "road") -> RoadHeights:
         """As :meth:`sample` at road coordinates."""
         z, seen = self._evaluate(u, v, outside)
-        return RoadHeights(z, seen == kernels.INSIDE, outside)
+        return RoadHeights(z, seen == kernels.INSIDE)
 
     def inside(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.bool_]:
         """True where the road has data under a map position."""
@@ -417,10 +413,6 @@ class Road:
         kernels.uv_to_xy(self.line, first, second, x, y)
         return x.reshape(shape), y.reshape(shape)
 
-    def tracker(self, size: int = 4, outside: Outside = "road") -> RoadTracker:
-        """A follower of ``size`` positions for live use."""
-        return RoadTracker(self, size, outside)
-
     def with_line(self, **changes: Floats | float | tuple[float, float]) -> Road:
         """The road over a changed reference line: ``with_line(bank=...)``, names as in :class:`ReferenceLine`."""
         return replace(self, reference=replace(self.reference, **changes))  # type: ignore[arg-type]
@@ -449,51 +441,6 @@ class Road:
             z=self.ref_z + lift,
             headings=(heading, self.headings[1] + turn),
         )
-
-
-class RoadTracker:
-    """Heights under a few positions that move, as the four wheels of a live twin.
-
-    Where a road comes near itself the tracker stays on the part it was on, and a query costs no
-    search. Not for use by two threads at once.
-    """
-
-    def __init__(self, road: Road, size: int = 4, outside: Outside = "road") -> None:
-        self.road, self.size, self.outside = road, size, outside
-        self._reach = max(_FOLLOW, _FOLLOW_STEPS * road.u_step)
-        self._at = np.zeros(size, dtype=np.int64)
-        self._u, self._v = np.zeros(size), np.zeros(size)
-        self._inside = np.zeros(size, dtype=np.bool_)
-
-    def reset(self) -> None:
-        """Forget the places, as after a jump in time."""
-        self._at[:] = 0
-
-    def heights(self, x: Floats, y: Floats) -> Floats:
-        """Heights (size,) m at map positions (size,); errors as :meth:`Road.heights`."""
-        if x.shape != (self.size,) or y.shape != (self.size,):
-            raise WorkError(
-                f"a tracker of {self.size} positions got arrays of shapes {x.shape} and {y.shape}"
-            )
-        first, second, _ = _pair(x, y)
-        road, at = self.road, self._at
-        lost = (at < 1) | ~(np.hypot(first - road.x[at], second - road.y[at]) <= self._reach)
-        if lost.any():
-            at[lost] = road.nearest_point(first[lost], second[lost])
-        kernels.xy_to_uv(road.line, at, first, second, self._u, self._v)
-        z, seen = self.road._evaluate(self._u, self._v, self.outside)
-        self._inside = seen == kernels.INSIDE
-        return z
-
-    @property
-    def uv(self) -> tuple[Floats, Floats]:
-        """Road coordinates (size,) of the last positions."""
-        return self._u.copy(), self._v.copy()
-
-    @property
-    def inside(self) -> NDArray[np.bool_]:
-        """Which of the last positions were on the road (size,)."""
-        return self._inside
 
 
 def _frozen(given: Floats) -> Floats:

@@ -31,7 +31,6 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.fft import next_fast_len
-from scipy.linalg import expm
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import detrend, lfilter, welch
 
@@ -46,7 +45,7 @@ __all__ = [
     "ProfileEvent",
     "Roughness",
     "class_of",
-    "golden_car_step",
+    "golden_car",
     "iri",
     "iri_along",
     "iso8608_road",
@@ -306,12 +305,11 @@ class ProfileEvent:
 
 @dataclass(frozen=True, eq=False)
 class Roughness:
-    """ISO 8608 of a profile: class and G(n0) (m³) without events and with them; the events."""
+    """ISO 8608 of a profile: class and G(n0) (m³) without events, the class with them, and the events."""
 
     letter: str
     g0: float
     letter_with_events: str
-    g0_with_events: float
     events: tuple[ProfileEvent, ...]
 
 
@@ -351,8 +349,8 @@ def profile_roughness(z: ArrayLike, step: float, first: float = 0.0) -> Roughnes
     mask = _events(slope, step)
     everything = _class(slope, step, np.zeros(slope.size, dtype=np.bool_))
     if not mask.any():
-        return Roughness(*everything, *everything, ())
-    return Roughness(*_class(slope, step, mask), *everything, _described(profile, mask, step, first))
+        return Roughness(*everything, everything[0], ())
+    return Roughness(*_class(slope, step, mask), everything[0], _described(profile, mask, step, first))
 
 
 def profile_events(z: ArrayLike, step: float, first: float = 0.0) -> tuple[ProfileEvent, ...]:
@@ -443,8 +441,9 @@ _BASE = 0.25  # m of the moving average, the contact of a tyre
 _START = 11.0  # m over which the first slope is taken
 
 
-def _matrices() -> tuple[Floats, Floats]:
-    """State matrix and input vector: sprung height and rate, unsprung height and rate; input a height."""
+def golden_car() -> tuple[Floats, Floats]:
+    """State matrix (4, 4) and input vector (4,) of the golden car: sprung height and rate, unsprung height and rate;
+    input a height."""
     k, c, u = _SPRING, _DAMPING, _UNSPRUNG
     a = np.array(
         [
@@ -455,13 +454,6 @@ def _matrices() -> tuple[Floats, Floats]:
         ]
     )
     return a, np.array([0.0, 0.0, 0.0, _TYRE / u])
-
-
-def golden_car_step(step: float) -> tuple[Floats, Floats]:
-    """Transition matrix (4, 4) and input vector (4,) of the golden car over ``step`` m of road at 80 km/h."""
-    a, b = _matrices()
-    matrix = np.asarray(expm(a * step / _SPEED), dtype=np.float64)
-    return matrix, np.linalg.solve(a, (matrix - np.eye(4)) @ b).astype(np.float64)
 
 
 def iri(z: ArrayLike, step: float) -> float:
@@ -507,10 +499,11 @@ def iri_along(z: ArrayLike, step: float) -> Floats:
     if width > 1:
         slope = uniform_filter1d(slope, width, mode="nearest")
     # Along its eigenvectors the car is four filters of the first order.
-    values, vectors = np.linalg.eig(_matrices()[0])
+    a, b = golden_car()
+    values, vectors = np.linalg.eig(a)
     inverse = np.linalg.inv(vectors)
     pole = np.exp(values * step / _SPEED)
-    gain = (pole - 1.0) / values * (inverse @ _matrices()[1])
+    gain = (pole - 1.0) / values * (inverse @ b)
     rate = np.zeros(slope.size, dtype=np.complex128)
     # On an endless grade the two heights follow the slope and the two rates are 0: the difference is filtered.
     for i in range(4):

@@ -24,7 +24,7 @@ from hypothesis import strategies as st
 
 from suspension_twin.drive.foreign_files import read_array, read_table
 from suspension_twin.drive.importing import import_drive
-from suspension_twin.drive.mapping import parse_mapping
+from suspension_twin.drive.mapping import load_mapping
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.recording import read_recording
 from suspension_twin.drive.rig import read_rig
@@ -270,7 +270,7 @@ SAMPLES: dict[str, tuple[bytes, Callable[[Path], object]]] = {
     "map.yaml": (
         b"imu: {file: a.csv, time: {column: t}, specific_force: {columns: [x, y, z], unit: g}, "
         b"angular_rate: {columns: [p, q, r], unit: deg/s}}\n",
-        lambda p: parse_mapping(p.read_text("utf-8", "replace")),
+        load_mapping,
     ),
     "road.crg": (
         b"$ROAD_CRG\nREFERENCE_LINE_START_U = 0\nREFERENCE_LINE_END_U = 2\nREFERENCE_LINE_INCREMENT = 1\n"

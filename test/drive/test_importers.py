@@ -20,9 +20,9 @@ import scipy.io
 from suspension_twin.drive import importers
 from suspension_twin.drive.checks import gravity_of, rhythm_of, summarise
 from suspension_twin.drive.clocks import gps_to_posix, iso_to_posix, text_to_posix, week_to_posix
-from suspension_twin.drive.importers import IMPORTERS, load_importer
+from suspension_twin.drive.importers import IMPORTERS
 from suspension_twin.drive.importing import import_drive
-from suspension_twin.drive.mapping import load_mapping, parse_mapping
+from suspension_twin.drive.mapping import load_mapping
 from suspension_twin.drive.streams import velocities_from_course, velocities_from_fixes
 from suspension_twin.drive.types import FixData
 from suspension_twin.errors import InputError
@@ -50,10 +50,10 @@ def test_every_file_of_the_folder_is_registered() -> None:
     assert {p.stem for p in folder.glob("*.py")} - {"__init__"} == set(IMPORTERS)
     assert len(IMPORTERS) == len(set(IMPORTERS))
     for name in IMPORTERS:
-        importer = load_importer(name)
+        importer = IMPORTERS[name]
         assert importer.TITLE and importer.recognises.__doc__ and importer.read.__doc__
     with pytest.raises(InputError, match="abacus"):
-        load_importer("abacus")
+        IMPORTERS.named("abacus", "importer")
 
 
 # --- Sensor Logger
@@ -738,12 +738,14 @@ def test_figures_of_a_drive(make: Callable[..., Any]) -> None:
 # --- documentation
 
 
-def test_every_importer_and_mapping_has_its_line_in_the_documentation(repository: Path) -> None:
+def test_every_importer_and_mapping_has_its_line_in_the_documentation(
+    repository: Path, tmp_path: Path
+) -> None:
     folder = repository / "config" / "import"
     text = (folder / "README.md").read_text(encoding="utf-8")
     for name in IMPORTERS:
         assert f"| `{name}` |" in text, name
-        assert load_importer(name).TITLE in text
+        assert IMPORTERS[name].TITLE in text
     mappings = sorted(folder.glob("*.yaml"))
     assert mappings
     for path in mappings:
@@ -751,4 +753,5 @@ def test_every_importer_and_mapping_has_its_line_in_the_documentation(repository
         load_mapping(path)
     example = re.search(r"```yaml\n(.*?)```", text, re.DOTALL)
     assert example is not None
-    assert parse_mapping(example.group(1)).name == "my_drive"
+    (tmp_path / "my_drive.yaml").write_text(example.group(1), encoding="utf-8")
+    assert load_mapping(tmp_path / "my_drive.yaml").name == "my_drive"

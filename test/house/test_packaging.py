@@ -11,6 +11,7 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 from importlib import import_module, metadata
+from operator import attrgetter
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -155,7 +156,7 @@ def test_entry_points_resolve(setup_arguments: dict[str, Any]) -> None:
     assert set(scripts) == {"suspension-twin", *NODES, "viewer", "foxglove_bridge"}
     for target in scripts.values():
         module, attribute = target.split(":")
-        assert callable(getattr(import_module(module), attribute))
+        assert callable(attrgetter(attribute)(import_module(module)))
     for plugin in setup_arguments["entry_points"]["pytest11"]:
         name, module = plugin.split(" = ")  # alike, or pytest would load it twice where -p names it
         assert name == module and import_module(module).__all__

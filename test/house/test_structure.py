@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from suspension_twin.addons.export.registry import TARGETS, load_target
+from suspension_twin.addons.export.registry import TARGETS
 from suspension_twin.addons.sources import SOURCES
 from suspension_twin.drive.importers import IMPORTERS
 from suspension_twin.effects.registry import EFFECTS
@@ -219,7 +219,7 @@ def test_a_target_of_export_is_whole(name: str, repository: Path) -> None:
         f"no test of the target {name}"
     )
     page = (repository / "docs" / "export.md").read_text(encoding="utf-8")
-    assert f"| `{name}` | {load_target(name).title}" in page, f"{name} has no line in docs/export.md"
+    assert f"| `{name}` | {TARGETS[name].title}" in page, f"{name} has no line in docs/export.md"
 
 
 def test_every_target_of_export_is_registered(repository: Path) -> None:

@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 import os
-import pickle
 import time
 from pathlib import Path
 
+from suspension_twin.addons.roads.drives.learning import read_lesson
 from suspension_twin.calibration.request import Progress
 from suspension_twin.errors import InputError
 from suspension_twin.nodes.jobs import DiagnosisStep
@@ -95,7 +95,7 @@ def reported(job, progress, should_stop):
 
 def knows_the_road(job, progress, should_stop):
     """Says that the road beside the twin file was learnt, and from which twin."""
-    lesson = pickle.loads(Path(job.request).read_bytes())
+    lesson = read_lesson(Path(job.request))
     progress(("iteration 1 of 1", 0.5))
     found = load_twin(lesson.twin).model_copy(
         update={"road": RoadFile(file=Path(lesson.twin).parent / "road.crg")}

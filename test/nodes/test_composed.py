@@ -97,7 +97,7 @@ def test_the_condition_counts_samples_and_answers(composed, drive):
     play(one)
     condition = one.condition()
     assert condition.samples == len(drive.imu) and condition.answers == len(drive.imu) - WARMING
-    assert condition.position == pytest.approx(condition.duration) and condition.gap is not None
+    assert condition.played.position == pytest.approx(condition.played.duration) and condition.gap is not None
     assert not condition.failing
 
 
@@ -143,7 +143,7 @@ def test_a_looped_bag_resets_the_nodes_and_says_the_same_again(composed, drive):
     assert len(got["twin"]) == 3 * count
     for name in ("imu_ingest", "pose_injector", "suspension_model"):
         assert one.nodes[name].health.count("resets after a jump back in time") == 2
-    assert not one.finished and one.condition().rounds == 3
+    assert not one.finished and one.condition().played.rounds == 3
 
 
 def test_linked_topics_are_not_subscribed_and_a_stranger_on_them_is_told(composed, bench, drive):

@@ -16,6 +16,7 @@ from std_srvs.srv import Trigger
 from suspension_twin.addons.cli.live_fleet import rows, summary
 from suspension_twin.cli.main import main
 from suspension_twin.errors import InputError
+from suspension_twin.live.gap import GapNow
 from suspension_twin.nodes.composed import Composed, Condition, Helpers, Playback, TwinFleet
 from suspension_twin.nodes.topics import STREAM_QOS
 
@@ -115,16 +116,26 @@ def test_a_process_beside_says_how_its_twins_are_or_what_is_wrong_with_them(twin
 
 
 def condition(**given) -> Condition:
-    plain = {"samples": 0, "answers": 0, "gap": None, "whole_gap": None, "normalised": None, "complaints": []}
-    plain |= {"failing": False, "position": None, "duration": None, "rounds": 0, "rates": {"imu": math.nan}}
+    plain = {
+        "rates": {"imu": math.nan},
+        "samples": 0,
+        "answers": 0,
+        "gap": None,
+        "complaints": [],
+        "failing": False,
+    }
     return Condition(**(plain | given))
+
+
+def gap(rms: float, normalised: float = math.nan) -> GapNow:
+    return GapNow(rms, 1.0, 0.1, normalised, (), 100)
 
 
 def test_a_line_says_how_all_are_and_one_what_is_wrong_with_each():
     text = summary(
         {
-            "a": condition(rates={"imu": 99.6}, gap=0.3, normalised=1.2),
-            "b": condition(rates={"imu": 101.2}, gap=0.2, normalised=3.4),
+            "a": condition(rates={"imu": 99.6}, gap=gap(0.3, 1.2)),
+            "b": condition(rates={"imu": 101.2}, gap=gap(0.2, 3.4)),
             "c": condition(complaints=["imu_ingest: no message", "more"], failing=True),
         }
     ).plain
@@ -135,7 +146,10 @@ def test_a_line_says_how_all_are_and_one_what_is_wrong_with_each():
 
 def test_the_page_gets_numbers_that_json_can_say():
     found = rows(
-        {"a": condition(gap=math.nan), "b": condition(gap=0.2, complaints=["late"], rates={"imu": 99.0})}
+        {
+            "a": condition(gap=gap(math.nan)),
+            "b": condition(gap=gap(0.2), complaints=["late"], rates={"imu": 99.0}),
+        }
     )
     assert found["a"] == {"rate": 0.0, "gap": None, "normalised": None, "text": "", "failing": False}
     assert (found["b"]["rate"], found["b"]["gap"], found["b"]["text"]) == (99.0, 0.2, "late")

@@ -10,17 +10,20 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import yaml
 from rich.console import Console
 
-from suspension_twin.cli._status import Status, line
+from suspension_twin.addons.nodes.source import SourceNode
+from suspension_twin.cli._status import UpdatedLines, conclusion, line
 from suspension_twin.cli.main import main
 from suspension_twin.drive.write import write_drive
 from suspension_twin.errors import InputError
-from suspension_twin.nodes.composed import Condition
+from suspension_twin.live.gap import GapNow
+from suspension_twin.nodes.composed import KINDS, Condition, Played
 from suspension_twin.nodes.parameters import check_names, read_param_file
 
 NODES = ("imu_ingest", "pose_injector", "suspension_model", "calibrator")
@@ -35,6 +38,12 @@ def start(arguments: list[str], **environment: str) -> subprocess.Popen[str]:
         text=True,
         env={**os.environ, **environment},
     )
+
+
+def program(node: type) -> list[str]:
+    """A node as a program, which an installation has under the node's name."""
+    call = f"import sys; from {node.__module__} import {node.__name__} as node; sys.exit(node.main())"
+    return [sys.executable, "-c", call]
 
 
 def run_command(*arguments: str | Path) -> list[str]:
@@ -122,7 +131,7 @@ def test_each_node_is_a_program_of_its_own(bench, twin_path):
     programs = {}
     for node in NODES:
         arguments = ["--ros-args", "-p", f"twin:={twin_path}", "-r", f"__node:={node}_alone"]
-        programs[node] = start([sys.executable, "-m", f"suspension_twin.nodes.{node}", *arguments])
+        programs[node] = start([*program(KINDS[node]), *arguments])
     for node in NODES:
         wait_for(bench, f"{node}_alone")
     for number, (_, process) in enumerate(programs.items()):
@@ -135,7 +144,7 @@ def test_each_node_is_a_program_of_its_own(bench, twin_path):
 
 def test_a_node_with_a_wrong_parameter_ends_with_status_2_and_one_line():
     arguments = ["--ros-args", "-p", "filter.cutoff:=-3.0"]
-    process = start([sys.executable, "-m", "suspension_twin.nodes.imu_ingest", *arguments])
+    process = start([*program(KINDS["imu_ingest"]), *arguments])
     _, errors = process.communicate(timeout=60.0)
     assert process.returncode == 2
     assert errors.count("\n") == 1 and "filter.cutoff" in errors
@@ -143,9 +152,7 @@ def test_a_node_with_a_wrong_parameter_ends_with_status_2_and_one_line():
 
 @pytest.mark.parametrize("given", [["stray"], ["--ros-args", "-p", "threads:=1", "--", "--late"]])
 def test_a_node_names_an_argument_that_it_does_not_know(given, capsys):
-    from suspension_twin.nodes.calibrator import main as alone
-
-    assert alone(["calibrator", *given]) == 2
+    assert KINDS["calibrator"].main(["calibrator", *given]) == 2
     assert capsys.readouterr().err == f"{given[-1]}: unknown argument: arguments for ROS follow --ros-args\n"
 
 
@@ -295,14 +302,10 @@ CONDITION = Condition(
     rates={"imu": 100.0, "fix": 10.0},
     samples=500,
     answers=484,
-    gap=0.1834,
-    whole_gap=0.21,
-    normalised=2.71,
+    gap=GapNow(0.1834, 0.5, 0.07, 2.71, (), 100),
     complaints=["imu_ingest: too loud", "another"],
     failing=False,
-    position=12.04,
-    duration=44.9,
-    rounds=1,
+    played=Played(12.04, 44.9, 1),
 )
 
 
@@ -312,7 +315,7 @@ def test_the_status_line_says_where_it_is_and_what_is_wrong():
     assert "gap 0.18 m/s² (2.7 ×)" in text and "imu_ingest: too loud (+1)" in text
     from dataclasses import replace
 
-    live = line(replace(CONDITION, position=None, gap=None, complaints=[], rates={"imu": float("nan")})).plain
+    live = line(replace(CONDITION, played=None, gap=None, complaints=[], rates={"imu": float("nan")})).plain
     assert "of" not in live and "gap -" in live and "nan" not in live
 
 
@@ -324,11 +327,8 @@ def test_the_status_line_fits_80_columns():
         shown = replace(
             CONDITION,
             rates=rates,
-            position=position,
-            duration=3600.0,
-            rounds=rounds,
-            gap=gap,
-            normalised=123.4,
+            played=Played(position, 3600.0, rounds),
+            gap=gap and replace(CONDITION.gap, rms=gap, normalised=123.4),
         )
         first, second = line(shown).plain.split("\n")
         assert len(first) <= 80 and "imu 1600" in first and "twin 1600" in first
@@ -337,18 +337,15 @@ def test_the_status_line_fits_80_columns():
 
 @pytest.mark.parametrize("node", NODES)
 def test_a_node_program_answers_help(node, capsys):
-    from importlib import import_module
-
-    module = import_module(f"suspension_twin.nodes.{node}")
-    assert module.main([node, "--help"]) == 0
+    assert KINDS[node].main([node, "--help"]) == 0
     out = capsys.readouterr().out
     assert out.startswith(f"Usage: {node} [--ros-args") and max(map(len, out.splitlines())) <= 80
-    assert all(f"  {p.name} = " in out for p in module.main.args[0].parameters) and "``" not in out
+    assert all(f"  {p.name} = " in out for p in KINDS[node].parameters) and "``" not in out
 
 
 def test_help_into_a_pipe_that_is_closed_is_no_traceback():
     node = subprocess.Popen(
-        [sys.executable, "-m", "suspension_twin.addons.nodes.source", "--help"],
+        [*program(SourceNode), "--help"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -359,17 +356,18 @@ def test_help_into_a_pipe_that_is_closed_is_no_traceback():
 
 
 @pytest.mark.parametrize("terminal", [True, False])
-def test_the_status_is_shown_on_a_terminal_and_in_a_log(terminal, monkeypatch):
+def test_the_status_is_shown_on_a_terminal_and_in_a_log(terminal):
     class Fake:
+        model = SimpleNamespace(whole_gap=lambda: 0.21)
+
         def condition(self) -> Condition:
             return CONDITION
 
     out = io.StringIO()
-    monkeypatch.setattr("suspension_twin.cli._status._PERIOD", 0.0)
-    with Status(Fake(), Console(file=out, force_terminal=terminal, width=200)) as status:  # type: ignore[arg-type]
-        status.show()
-        status.show()
-        status.conclude()
+    with UpdatedLines(Console(file=out, force_terminal=terminal, width=200), 0.0, 60.0) as lines:
+        lines.show(lambda: [line(CONDITION)])
+        lines.show(lambda: [line(CONDITION)])
+        lines.conclude(conclusion(Fake(), 1.0))  # type: ignore[arg-type]
     shown = out.getvalue()
     assert "gap 0.18" in shown and "484 answers to 500 IMU samples" in shown
     assert shown.count("too loud") == (2 if terminal else 1) or terminal

@@ -6,9 +6,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 
+from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
-from suspension_twin.road.roughness import golden_car_step, iri, iri_along, iso8608_road
+from suspension_twin.road.roughness import golden_car, iri, iri_along, iso8608_road
+
+
+def golden_car_step(step: float) -> tuple[Floats, Floats]:
+    """Transition matrix and input vector over ``step`` m of road at 80 km/h."""
+    a, b = golden_car()
+    matrix = expm(a * step / (80.0 / 3.6))
+    return matrix, np.linalg.solve(a, (matrix - np.eye(4)) @ b)
 
 
 @pytest.mark.parametrize(

@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,8 +12,8 @@ from suspension_twin.addons.roads.drives.learning import twin_path
 from suspension_twin.addons.sources import make_sources
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.addons.sources.common.recorder import LiveRecorder
-from suspension_twin.cli._status import Status, say
-from suspension_twin.cli.run import RunSettings
+from suspension_twin.cli._status import UpdatedLines, line, say
+from suspension_twin.cli.run import Companion, RunSettings
 from suspension_twin.errors import InputError
 from suspension_twin.road.crg import record_path
 
@@ -27,27 +27,20 @@ __all__ = ["LearntRoad", "Recording", "Sources"]
 _RECORDED, _LEARNT = 30.0, 120.0
 
 
-class Sources:
+class Sources(Companion):
     """``--source``: checks the URLs; the node of live sources is one of those that run."""
-
-    files: Sequence[Path] = ()
-    patience = 0.0
 
     def __init__(self, urls: str, _settings: RunSettings) -> None:
         make_sources(urls.split(), Hub())
 
-    def beside(self, _composed: Composed, _stop: Stop) -> AbstractContextManager[None]:
-        """See ``Companion``."""
-        return nullcontext()
 
-
-class Recording:
+class Recording(Companion):
     """``--record``: the samples of the sources in a bag, complete at the end, whatever ends it."""
 
     patience = _RECORDED
 
     def __init__(self, path: str, settings: RunSettings) -> None:
-        self.files: Sequence[Path] = [Path(path)]
+        self.files = [Path(path)]
         self._overwrite = settings.live.force
 
     @contextmanager
@@ -69,7 +62,7 @@ class Recording:
                 )
 
 
-class LearntRoad:
+class LearntRoad(Companion):
     """``--learn-road``: at the end the road of the last pass is learnt as well, whatever ends it."""
 
     patience = _LEARNT
@@ -82,7 +75,7 @@ class LearntRoad:
             )
         if self._road.suffix.lower() != ".crg":
             raise InputError(road, "a road is written as .crg; name the file so")
-        self.files: Sequence[Path] = [self._road, record_path(self._road), twin_path(self._road)]
+        self.files = [self._road, record_path(self._road), twin_path(self._road)]
         used = [settings.twin, *([] if loaded.road is None else [loaded.road.file])]
         for path in self.files:
             if path.resolve() in [p.resolve() for p in used]:
@@ -101,9 +94,9 @@ class LearntRoad:
             learner.close_pass()
             if learner.pending:
                 say("learning the road of the last pass; Ctrl-C ends this")
-                with suppress(KeyboardInterrupt), stop.again(), Status(composed) as status:
+                with suppress(KeyboardInterrupt), stop.again(), UpdatedLines() as lines:
                     while learner.pending:
                         composed.serve()
-                        status.show()
+                        lines.show(lambda: [line(composed.condition())])
             no_road = f"no road was learnt, {self._road} is not written: {learner.why}"
             say(learner.summary() if learner.learnt else no_road)

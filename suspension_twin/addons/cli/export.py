@@ -51,10 +51,10 @@ def command(
 
     What of the twin a target cannot hold is said.
     """
-    from suspension_twin.addons.export.registry import ExportSettings, export_twin, load_target
+    from suspension_twin.addons.export.registry import TARGETS, ExportSettings, export_twin
     from suspension_twin.vehicle.twin import load_twin
 
-    load_target(to)
+    TARGETS.named(to, "--to")
     outputs = Outputs(out, force=force)
     loaded = load_twin(twin)
     outputs.announce()

@@ -14,10 +14,9 @@ from typing import TYPE_CHECKING
 
 from rich.text import Text
 
-from suspension_twin.addons.cli.live_lines import UpdatedLines
 from suspension_twin.addons.cli.pages import fleet_pages, foxglove_address, free_address, node_process
 from suspension_twin.addons.view.fleet import TwinRow
-from suspension_twin.cli._status import say
+from suspension_twin.cli._status import UpdatedLines, complaint, say
 from suspension_twin.errors import printable
 
 if TYPE_CHECKING:
@@ -52,8 +51,8 @@ def run_fleet(given: FleetSettings, display: DisplaySettings, ros: RosSettings) 
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="suspension_twin_"))
         above = ros.namespace.strip("/")
         twins = {
-            "/".join(p for p in (above, t.namespace) if p): str(t.file)
-            for t in fleet_twins(read_manifest(given.fleet), Path(folder))
+            "/".join(p for p in (above, name) if p): str(file)
+            for name, file in fleet_twins(read_manifest(given.fleet), Path(folder)).items()
         }
         for name in twins:
             check_namespace(name)
@@ -91,7 +90,7 @@ def _watch(
 ) -> None:
     """Go on step by step; show how the twins are every second on a terminal and on the page, every ten in a log."""
     page_due = time.monotonic() + _PERIOD
-    with UpdatedLines(period=_PERIOD) as lines:
+    with UpdatedLines() as lines:
         while not stop_asked():
             step()
             now = time.monotonic()
@@ -105,15 +104,18 @@ def _watch(
     )
 
 
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
 def rows(conditions: Mapping[str, Condition]) -> dict[str, TwinRow]:
     """Each twin as the page of the fleet shows it."""
     found: dict[str, TwinRow] = {}
     for name, c in conditions.items():
-        known = c.gap is not None and math.isfinite(c.gap)
         found[name] = {
-            "rate": c.rates["imu"] if math.isfinite(c.rates["imu"]) else 0.0,
-            "gap": c.gap if known else None,
-            "normalised": c.normalised if known else None,
+            "rate": _finite(c.rates["imu"]) or 0.0,
+            "gap": None if c.gap is None else _finite(c.gap.rms),
+            "normalised": None if c.gap is None else _finite(c.gap.normalised),
             "text": printable(c.complaints[0]) if c.complaints else "",
             "failing": c.failing,
         }
@@ -127,23 +129,16 @@ def summary(conditions: Mapping[str, Condition]) -> Text:
     if rates:
         low, high = f"{rates[0]:.0f}", f"{rates[-1]:.0f}"
         parts[0] += f" at {low if low == high else f'{low} to {high}'} Hz"
-    gaps = {name: c for name, c in conditions.items() if c.gap is not None and not math.isnan(c.gap)}
+    gaps = [(c.gap, name) for name, c in conditions.items() if c.gap is not None and math.isfinite(c.gap.rms)]
     if gaps:
         # Beside its noise floor where that is known, for vehicles and roads differ.
-        name = max(gaps, key=lambda n: (gaps[n].normalised or 0.0, gaps[n].gap or 0.0))
-        worst = gaps[name]
-        times = "" if worst.normalised is None else f" ({worst.normalised:.1f} ×)"
-        parts.append(f"largest gap /{name} {worst.gap:.2f} m/s²{times}")
+        worst, name = max(gaps, key=lambda g: (_finite(g[0].normalised) or 0.0, g[0].rms))
+        parts.append(f"largest gap /{name} {worst}")
     text = Text(" | ".join(parts))
-    unwell = sorted(
-        (n for n, c in conditions.items() if c.complaints), key=lambda n: not conditions[n].failing
-    )
-    for name in unwell[:_COMPLAINTS]:
-        c = conditions[name]
-        more = f" (+{len(c.complaints) - 1})" if len(c.complaints) > 1 else ""
-        text.append(
-            f"\n/{name}: {printable(c.complaints[0])}{more}", style="bold red" if c.failing else "yellow"
-        )
+    unwell = sorted((i for i in conditions.items() if i[1].complaints), key=lambda i: not i[1].failing)
+    for name, c in unwell[:_COMPLAINTS]:
+        said = complaint(c)
+        text.append("\n").append(f"/{name}: ", style=said.style).append(said)
     if len(unwell) > _COMPLAINTS:
         text.append(f"\nand {len(unwell) - _COMPLAINTS} more twins", style="yellow")
     return text

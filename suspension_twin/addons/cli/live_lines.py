@@ -7,26 +7,22 @@ import asyncio
 import io
 import signal
 import time
-from collections.abc import AsyncIterator, Callable, Iterable, Sequence
-from typing import TYPE_CHECKING, final
+from collections.abc import AsyncIterator, Callable, Sequence
+from typing import final
 
 import segno
-from rich.console import Console, Group
-from rich.live import Live
+from rich.console import Console
 from rich.text import Text
 
 from suspension_twin.addons.sources import LiveSource
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.addons.sources.common.report import device_line, findings
+from suspension_twin.cli._status import UpdatedLines
 from suspension_twin.signals.checks import Finding
-
-if TYPE_CHECKING:
-    from typing import Self  # of Python 3.11
 
 __all__ = [
     "DEFAULT_SOURCE",
     "LiveLines",
-    "UpdatedLines",
     "device_lines",
     "show_guide",
     "styled",
@@ -86,53 +82,12 @@ async def show_guide(console: Console, sources: Sequence[LiveSource], urls: Sequ
     console.print()
 
 
-class UpdatedLines:
-    """Lines that are brought up to date in place on a terminal every ``period`` s, and printed in a log every
-    ``log_period`` s."""
-
-    def __init__(
-        self, console: Console | None = None, period: float = _PERIOD, log_period: float = 10.0
-    ) -> None:
-        self.console = console or Console(stderr=True, highlight=False, soft_wrap=True)
-        self._live: Live | None = None
-        if self.console.is_terminal:
-            self._live = Live(
-                console=self.console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False
-            )
-        self._period = period if self._live else log_period
-        self._due = time.monotonic() + period
-
-    def __enter__(self) -> Self:
-        if self._live is not None:
-            self._live.start()
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        if self._live is not None:
-            self._live.stop()
-
-    def say(self, lines: Iterable[Text]) -> None:
-        """Lines that stay."""
-        for line in lines:
-            self.console.print(line)
-
-    def show(self, lines: Callable[[], Sequence[Text]]) -> None:
-        """These lines, where it is time to; none: not yet."""
-        if time.monotonic() < self._due or not (made := lines()):
-            return
-        if self._live is not None:
-            self._live.update(Group(*made), refresh=True)
-        else:
-            self.say(made)
-        self._due = time.monotonic() + self._period
-
-
 @final
 class LiveLines(UpdatedLines):
     """The same, with the events of a hub as they happen."""
 
     def __init__(self, hub: Hub, console: Console | None = None, log_period: float = 10.0) -> None:
-        super().__init__(console, log_period=log_period)
+        super().__init__(console, _PERIOD, log_period)
         self._hub = hub
 
     def show(self, lines: Callable[[], Sequence[Text]]) -> None:

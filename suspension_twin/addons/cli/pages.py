@@ -14,11 +14,11 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from importlib.util import find_spec
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from suspension_twin.addons.sources.common.connection import is_local, url_host
 from suspension_twin.addons.view.fleet import FleetServer, TwinRow
-from suspension_twin.addons.view.server import is_local
+from suspension_twin.cli.run import Companion
 from suspension_twin.errors import InputError, WorkError
 
 if TYPE_CHECKING:
@@ -82,12 +82,10 @@ def node_process(
             process.wait(1.0)
 
 
-class Viewer:
+class Viewer(Companion):
     """``--view``: the page of one twin."""
 
     node = "viewer"
-    files: Sequence[Path] = ()
-    patience = 0.0
 
     def __init__(self, given: str, settings: RunSettings) -> None:
         self._ros = settings.ros
@@ -123,7 +121,7 @@ def fleet_pages(
         else:
             while len(opened) >= _PAGES:  # the one that was not asked for for the longest time
                 opened.pop(next(iter(opened)))[1].close()
-            free = free_address("--view", f"[{place.host}]:0" if ":" in place.host else f"{place.host}:0")
+            free = free_address("--view", f"{url_host(place.host)}:0")
             port, own = free.port, ExitStack()
             values = {"host": place.host, "port": port, "token": place.token, "twin": twins[name]}
             own.enter_context(node_process("viewer", values, name, ros.arguments))

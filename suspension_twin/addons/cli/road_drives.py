@@ -16,7 +16,7 @@ from suspension_twin.errors import InputError
 from suspension_twin.files import Json
 
 if TYPE_CHECKING:
-    from suspension_twin.addons.roads.drives.drives import Part
+    from suspension_twin.addons.roads.drives.drives import DrivenPart
     from suspension_twin.drive.types import Drive
 
 __all__ = ["command"]
@@ -101,9 +101,9 @@ def command(
                 )
                 save_twin(found.vehicle.twin, joint, heading)
             if picture is not None:
-                from suspension_twin.addons.roads.pictures import save_estimate_picture
+                from suspension_twin.addons.roads.pictures import estimate_figure, save_picture
 
-                save_estimate_picture(found, picture)
+                save_picture(estimate_figure(found), picture)
     _print_estimate(record)
     if loaded.datum is None:
         d = record["datum"]
@@ -156,9 +156,9 @@ def _print_vehicle(record: Json) -> None:
         console.print(text, markup=False)
 
 
-def _parts(texts: list[str]) -> list[Part]:
+def _parts(texts: list[str]) -> list[DrivenPart]:
     """Drives and parts of drives; one that is named twice is read once."""
-    from suspension_twin.addons.roads.drives.drives import Part
+    from suspension_twin.addons.roads.drives.drives import DrivenPart
     from suspension_twin.drive.read import read_drive
 
     known: dict[str, Drive] = {}
@@ -172,5 +172,5 @@ def _parts(texts: list[str]) -> list[Part]:
                 raise InputError(text, "the part ends before it starts")
         if name not in known:
             known[name] = read_drive(Path(name))
-        parts.append(Part(known[name], start, end))
+        parts.append(DrivenPart(known[name], start, end))
     return parts

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from suspension_twin.addons.export.registry import ExportSettings, Target, characteristics_of
+from suspension_twin.addons.export.registry import ExportSettings, Target
 from suspension_twin.errors import InputError, printable
 from suspension_twin.files import read_bytes, write_text
 from suspension_twin.vehicle.twin import Twin
@@ -27,7 +27,10 @@ _LARGEST: Final = 16 << 20  # bytes of a vehicle file
 
 def _tables(twin: Twin) -> dict[str, list[str]]:
     """Lines by the key of their table: a factor of 1, then a row for the origin and each point."""
-    characteristics_of(twin, "CarMaker")  # an error where there are none
+    if set(twin.axles) != {"front", "rear"}:
+        raise InputError(
+            "twin", "model", f"{twin.model} has no front and rear axle with springs for CarMaker"
+        )
     tables = {}
     for prefix, axle in _AXLES:
         for word, name in _PARTS:

@@ -16,7 +16,7 @@ from suspension_twin.errors import InputError
 from suspension_twin.registry import Registry
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["TARGETS", "ExportSettings", "Target", "characteristics_of", "export_twin", "load_target"]
+__all__ = ["TARGETS", "ExportSettings", "Target", "export_twin"]
 
 
 @dataclass(frozen=True)
@@ -66,11 +66,6 @@ TARGETS: Final = Registry[Target](
 )
 
 
-def load_target(name: str) -> Target:
-    """The target of that name; InputError where there is none."""
-    return TARGETS.named(name, "--to")
-
-
 def export_twin(
     twin: Twin, to: str, path: str | Path, settings: ExportSettings | None = None
 ) -> tuple[str, ...]:
@@ -108,7 +103,7 @@ def export_twin(
     ...     print(Path(folder, "twin.csv").read_text().splitlines()[1])
     vehicle.mass,1725.0,kg
     """
-    target, settings, path = load_target(to), settings or ExportSettings(), Path(path)
+    target, settings, path = TARGETS.named(to, "--to"), settings or ExportSettings(), Path(path)
     if target.suffixes and path.suffix.lower() not in target.suffixes:
         raise InputError(path, f"a file for {to} ends with {' or '.join(target.suffixes)}")
     plain = ExportSettings()
@@ -116,11 +111,3 @@ def export_twin(
         if value != getattr(plain, name) and name not in target.settings:
             raise InputError(f"--{name}", f"is nothing that {to} takes")
     return tuple(target.write(twin, path, settings))
-
-
-def characteristics_of(twin: Twin, to: str) -> dict[str, object]:
-    """Springs and dampers of front and rear axle by ``front`` and ``rear``; InputError where the twin has no such."""
-    axles: dict[str, object] = {name: axle.part for name, axle in twin.axles.items()}
-    if set(axles) != {"front", "rear"}:
-        raise InputError("twin", "model", f"{twin.model} has no front and rear axle with springs for {to}")
-    return axles

@@ -199,7 +199,7 @@ def health_rows(rows: Iterable[Record]) -> list[Record]:
     return sorted(found, key=lambda r: (r["vehicle"], r["quantity"], r["date"]))
 
 
-def write_tables(folder: Path, rows: Sequence[Record], changes: Sequence[ChangePoint]) -> tuple[Path, ...]:
+def write_tables(folder: Path, rows: Sequence[Record], changes: Sequence[ChangePoint]) -> None:
     """Write the three tables.
 
     Parameters
@@ -211,11 +211,6 @@ def write_tables(folder: Path, rows: Sequence[Record], changes: Sequence[ChangeP
     changes : sequence of ChangePoint
         Of every vehicle and quantity.
 
-    Returns
-    -------
-    tuple of Path
-        The files.
-
     Raises
     ------
     InputError
@@ -224,7 +219,6 @@ def write_tables(folder: Path, rows: Sequence[Record], changes: Sequence[ChangeP
     Examples
     --------
     >>> write_tables(Path("results"), rows, ())  # doctest: +SKIP
-    (PosixPath('results/results.parquet'), ...)
     """
     try:
         import pyarrow as pa
@@ -251,4 +245,3 @@ def write_tables(folder: Path, rows: Sequence[Record], changes: Sequence[ChangeP
         kept = [{column: row.get(column) for column in columns} for row in content]
         with replacing(folder / name) as part:
             pq.write_table(pa.Table.from_pylist(kept, schema=pa.schema(schema(columns))), part)
-    return tuple(folder / name for name in tables)

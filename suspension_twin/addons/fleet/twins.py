@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from suspension_twin.addons.fleet.manifest import Item
@@ -13,19 +12,10 @@ from suspension_twin.addons.fleet.storage import is_url, staged
 from suspension_twin.addons.fleet.work import moved_twin, twin_and_road
 from suspension_twin.errors import InputError
 
-__all__ = ["FleetTwin", "fleet_twins"]
+__all__ = ["fleet_twins"]
 
 
-@dataclass(frozen=True)
-class FleetTwin:
-    """One vehicle of a fleet: its name, its ``namespace`` (letters, digits and underscores), its twin file here."""
-
-    vehicle: str
-    namespace: str
-    file: Path
-
-
-def fleet_twins(items: Sequence[Item], folder: Path) -> tuple[FleetTwin, ...]:
+def fleet_twins(items: Sequence[Item], folder: Path) -> dict[str, Path]:
     """The twin of every vehicle of a manifest, as its newest row has it.
 
     Parameters
@@ -37,8 +27,9 @@ def fleet_twins(items: Sequence[Item], folder: Path) -> tuple[FleetTwin, ...]:
 
     Returns
     -------
-    tuple of FleetTwin
-        In the order in which the manifest first names the vehicles.
+    dict of str to Path
+        Files here by namespace (letters, digits and underscores), in the order in which the manifest first names the
+        vehicles.
 
     Raises
     ------
@@ -48,22 +39,19 @@ def fleet_twins(items: Sequence[Item], folder: Path) -> tuple[FleetTwin, ...]:
     Examples
     --------
     >>> item = Item("car 1", "", "bags/bump_15kmh/twin.yaml", ("bags/bump_15kmh",))
-    >>> fleet_twins([item], Path("copies"))[0].namespace
-    'car_1'
+    >>> list(fleet_twins([item], Path("copies")))
+    ['car_1']
     """
     newest: dict[str, Item] = {}
     for item in items:
         if item.vehicle not in newest or item.date >= newest[item.vehicle].date:
             newest[item.vehicle] = item
-    found: dict[str, FleetTwin] = {}
-    for vehicle, item in newest.items():
-        namespace = _namespace(vehicle)
-        if namespace in found:
-            raise InputError(
-                vehicle, f"has the same name in ROS as {found[namespace].vehicle}: /{namespace}; rename one"
-            )
-        found[namespace] = FleetTwin(vehicle, namespace, _local(item, folder / namespace))
-    return tuple(found.values())
+    vehicles: dict[str, str] = {}
+    for vehicle in newest:
+        other = vehicles.setdefault(namespace := _namespace(vehicle), vehicle)
+        if other != vehicle:
+            raise InputError(vehicle, f"has the same name in ROS as {other}: /{namespace}; rename one")
+    return {name: _local(newest[vehicle], folder / name) for name, vehicle in vehicles.items()}
 
 
 def _namespace(vehicle: str) -> str:

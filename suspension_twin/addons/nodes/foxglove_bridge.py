@@ -11,7 +11,6 @@ import os
 import re
 import sys
 import time
-from collections.abc import Callable
 from functools import partial
 from importlib import import_module
 from typing import Any
@@ -27,11 +26,10 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from suspension_twin.errors import InputError
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.parameters import Param
-from suspension_twin.nodes.process import run_alone
 from suspension_twin.nodes.topics import NS, Embedding, type_name
 from suspension_twin_interfaces.msg import Gap
 
-__all__ = ["FoxgloveBridgeNode", "definition", "main"]
+__all__ = ["FoxgloveBridgeNode", "definition"]
 
 #: s between two looks at the graph.
 _PERIOD = 1.0
@@ -183,7 +181,5 @@ def _type(kind: str) -> str:
     return _BASIC.get(kind, kind)
 
 
-main: Callable[..., Any] = partial(run_alone, FoxgloveBridgeNode)
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(FoxgloveBridgeNode.main())

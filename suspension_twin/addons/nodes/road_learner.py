@@ -9,14 +9,11 @@ each pass the road is estimated in a worker process; what comes out is written a
 from __future__ import annotations
 
 import math
-import pickle
-import sys
 import tempfile
 import time
 from array import array
 from collections.abc import Callable
 from collections.abc import Set as AbstractSet
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,20 +26,27 @@ from rclpy.clock_type import ClockType
 from rclpy.task import Future
 from sensor_msgs.msg import Imu, NavSatFix
 
-from suspension_twin.addons.roads.drives.learning import Laps, Lesson, Span, learn_road, twin_path
+from suspension_twin.addons.roads.drives.learning import (
+    Laps,
+    Lesson,
+    Span,
+    learn_road,
+    read_lesson,
+    twin_path,
+    write_lesson,
+)
 from suspension_twin.drive.checks import clean_drive
 from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, VelocityData
-from suspension_twin.errors import InputError
+from suspension_twin.errors import InputError, SuspensionTwinError
 from suspension_twin.files import check_writable
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.jobs import Job, Outcome, Worker
-from suspension_twin.nodes.messages import read_fix, read_velocity
+from suspension_twin.nodes.messages import read_fix, read_odometry, read_velocity, yaw_of
 from suspension_twin.nodes.parameters import TWIN, Param, Values, twin_of
-from suspension_twin.nodes.process import run_alone
 from suspension_twin.nodes.topics import OK, WARN, Embedding
 from suspension_twin_interfaces.srv import LoadTwin
 
-__all__ = ["RoadLearnerNode", "main", "run_lesson"]
+__all__ = ["RoadLearnerNode", "run_lesson"]
 
 #: Period in s at which the worker's messages are read.
 _TICK = 0.1
@@ -53,9 +57,8 @@ _JOINED, _HELD = 500, 1_000_000
 
 
 def run_lesson(job: Job, on_progress: Callable[[tuple[str, float | None]], None], _stop: object) -> Outcome:
-    """Learn the road in this process; the request is the path of a pickled lesson."""
-    lesson: Lesson = pickle.loads(Path(job.request).read_bytes())
-    return learn_road(lesson, lambda text, share: on_progress((text, share)))
+    """Learn the road in this process; the request is the path of a lesson."""
+    return learn_road(read_lesson(Path(job.request)), lambda text, share: on_progress((text, share)))
 
 
 class _Record:
@@ -187,20 +190,13 @@ class RoadLearnerNode(TwinNode):
         self._record.imu(ns / 1e9, message)
 
     def _on_heading(self, message: QuaternionStamped, ns: int) -> None:
-        q = message.quaternion
-        self._record.heading(ns / 1e9, 2.0 * math.atan2(q.z, q.w))
+        self._record.heading(ns / 1e9, yaw_of(message.quaternion))
 
     def _on_odom(self, message: Odometry, ns: int) -> None:
-        pose, covariance = message.pose.pose, message.pose.covariance
-        if not covariance[35] < 1.0:  # the heading is not known yet
-            return
-        q = pose.orientation
-        yaw = 2.0 * math.atan2(q.z, q.w)
-        speed = message.twist.twist.linear.x
-        x, y, sigma = pose.position.x, pose.position.y, math.sqrt(max(covariance[0], 0.0))
-        if not math.isfinite(x + y + yaw + speed + sigma):
-            return
-        self._take(self._laps.push(ns / 1e9, x, y, yaw, speed, sigma))
+        pose = read_odometry(message, ns / 1e9)
+        sigma = math.sqrt(max(pose.covariance[0], 0.0))
+        if pose.aligned and math.isfinite(sigma):
+            self._take(self._laps.push(pose.t, pose.x, pose.y, pose.yaw, pose.motion.speed, sigma))
 
     def close_pass(self) -> None:
         """The present pass ends here; nothing where it is too short."""
@@ -263,15 +259,16 @@ class RoadLearnerNode(TwinNode):
             self.why = "no twin is loaded"
             self.note("roads not learnt", WARN, f"the road could not be learnt: {self.why}")
             return
-        drives = {id(k.record): k.record.drive() for k in self._passes}
-        passes = tuple((drives[id(k.record)], k.span.start, k.span.end) for k in self._passes)
-        lesson = Lesson(self._twin_file, str(self._out), passes, self._datum(passes[-1][0]))
+        records = list(dict.fromkeys(kept.record for kept in self._passes))
+        passes = tuple((records.index(kept.record), kept.span.start, kept.span.end) for kept in self._passes)
+        drives = tuple(record.drive() for record in records)
+        lesson = Lesson(self._twin_file, str(self._out), drives, passes, self._datum(drives[-1]))
         # By a file: through the pipe of a new process, megabytes would wait for it to start.
-        temporary = Path(self._folder.name) / "lesson.pickle"
+        temporary = Path(self._folder.name) / "lesson.npz"
         try:
-            temporary.write_bytes(pickle.dumps(lesson))
-        except OSError as error:
-            self.why = f"{temporary}: cannot be written: {error.strerror or error}"
+            write_lesson(lesson, temporary)
+        except SuspensionTwinError as error:
+            self.why = str(error)
             self.note("roads not learnt", WARN, f"the road could not be learnt: {self.why}")
             return
         self._worker = self.worker(self.work, Job(str(temporary), str(self._out)))
@@ -350,9 +347,3 @@ class RoadLearnerNode(TwinNode):
         values["passes kept"] = str(len(self._passes))
         values["present pass (m)"] = f"{self._laps.length:.0f}"
         values["state"] = self._step if self._worker is not None else "collecting"
-
-
-main = partial(run_alone, RoadLearnerNode)
-
-if __name__ == "__main__":
-    sys.exit(main())

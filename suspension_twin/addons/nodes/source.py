@@ -10,34 +10,22 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
-from geometry_msgs.msg import QuaternionStamped, TwistStamped
-from sensor_msgs.msg import Imu, NavSatFix
-
 from suspension_twin.addons.sources.common.clock import host_time
-from suspension_twin.addons.sources.common.hub import Hub, Packet, Stream
+from suspension_twin.addons.sources.common.hub import Hub, Packet
 from suspension_twin.addons.sources.common.report import device_line, device_values, findings
 from suspension_twin.addons.sources.common.runner import SourceLoop, SourceThread
 from suspension_twin.drive.checks import nanoseconds
 from suspension_twin.drive.types import FixData, ImuData
 from suspension_twin.nodes.base import TwinNode
-from suspension_twin.nodes.messages import fill_fix, fill_heading, fill_imu, fill_velocity
+from suspension_twin.nodes.messages import SENSORS
 from suspension_twin.nodes.parameters import TWIN, Param, twin_of
-from suspension_twin.nodes.process import run_alone
 from suspension_twin.nodes.topics import ERROR, NS, OK, WARN, Embedding, Output
 
-__all__ = ["SourceNode", "main"]
+__all__ = ["SourceNode"]
 
 _LEVELS = {"ok": OK, "warn": WARN, "error": ERROR}
-#: By stream: topic, type, and what puts a sample into a message.
-_TOPICS: dict[Stream, tuple[str, type, Callable[[Any, Any, int], None]]] = {
-    "imu": ("imu/data_raw", Imu, fill_imu),
-    "fix": ("fix", NavSatFix, fill_fix),
-    "vel": ("vel", TwistStamped, fill_velocity),
-    "heading": ("heading", QuaternionStamped, fill_heading),
-}
 
 
 class SourceNode(TwinNode):
@@ -62,8 +50,8 @@ class SourceNode(TwinNode):
         super().__init__("source", embedding)
         twin = twin_of(self.values)
         self._frames = ("imu_link", "gps_link") if twin is None else (twin.imu.frame, twin.gps.frame)
-        self._ways: dict[Stream, tuple[Output, Any, Callable[[Any, Any, int], None]]] = {
-            stream: (self.offer(kind, topic), kind(), fill) for stream, (topic, kind, fill) in _TOPICS.items()
+        self._ways: dict[str, tuple[Output, Any, Callable[[Any, Any, int], None]]] = {
+            stream: (self.offer(kind, topic), kind(), fill) for stream, (kind, topic, fill) in SENSORS.items()
         }
         #: What has been received is handed to this, too, if it is set: a recorder.
         self.tap: Callable[[Packet], None] | None = None
@@ -142,9 +130,3 @@ class SourceNode(TwinNode):
             values[device.name] = device_line(device, now)
             for name, value in device_values(device, now).items():
                 values[f"{device.name}: {name}"] = value
-
-
-main = partial(run_alone, SourceNode)
-
-if __name__ == "__main__":
-    sys.exit(main())

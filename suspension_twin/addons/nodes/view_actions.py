@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any
 
 from geometry_msgs.msg import TwistStamped
 from rcl_interfaces.srv import SetParameters
@@ -26,6 +26,7 @@ from suspension_twin.addons.view.live import LiveView
 from suspension_twin.calibration.output import details_path
 from suspension_twin.drive.types import Samples
 from suspension_twin.errors import InputError, SuspensionTwinError, WorkError
+from suspension_twin.files import Json
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.messages import read_fix, read_imu, read_velocity
 from suspension_twin.nodes.topics import OK, SENSOR_QOS, WARN
@@ -327,21 +328,12 @@ def _gap_of(twin: Path) -> str:
     return f"gap {before:.3f} m/s² before, {after:.3f} after; the twin is {twin}"
 
 
-class PlayerState(TypedDict):
-    """Length and position in s, times real time (None: full speed)."""
-
-    duration: float
-    position: float
-    rate: float | None
-    paused: bool
-    ended: bool
-
-
 class ViewPlayer:
-    """Known while it says how it is: ``state`` is None without one."""
+    """Known while it says how it is: ``state`` has length and position in s, times real time (None: full speed),
+    whether it is paused and has ended; None without one."""
 
     def __init__(self, node: TwinNode, view: LiveView) -> None:
-        self.state: PlayerState | None = None
+        self.state: Json | None = None
         self.client = node.create_client(SetParameters, "bag_player/set_parameters")
         self._view, self._seen = view, 0.0
 
@@ -365,18 +357,10 @@ class ViewPlayer:
             self.state = None
             self._view.update("player", None)
 
-    def pause(self, _number: float | None) -> str:
-        """Stand still."""
-        return self._set(paused=True)
-
-    def play(self, _number: float | None) -> str:
-        """Go on."""
-        return self._set(paused=False)
-
     def seek(self, number: float | None) -> str:
         """Go on from so many s of the recording, or its end."""
         most = math.inf if self.state is None else self.state["duration"]
-        said = self._set(seek=min(max(number or 0.0, 0.0), most), paused=False)
+        said = self.set(seek=min(max(number or 0.0, 0.0), most), paused=False)
         self._view.clear()
         return said
 
@@ -384,9 +368,10 @@ class ViewPlayer:
         """Times real time; InputError beyond 0.01 to 100."""
         if self.state is not None and not 0.01 <= (number or 0.0) <= 100.0:
             raise InputError("speed", "must be from 0.01 to 100 times real time")
-        return self._set(rate=number)
+        return self.set(rate=number)
 
-    def _set(self, **values: object) -> str:
+    def set(self, **values: object) -> str:
+        """Give the player other parameters. Raises InputError where there is none."""
         if self.state is None or not self.client.service_is_ready():
             raise InputError("player", "no recording is being replayed")
         wanted = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]

@@ -9,34 +9,27 @@ from __future__ import annotations
 
 import struct
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
+from itertools import chain, count
 from pathlib import Path
 
 import numpy as np
-from geometry_msgs.msg import QuaternionStamped, TwistStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from rclpy.subscription import Subscription
-from sensor_msgs.msg import Imu, NavSatFix
 from std_msgs.msg import String
 
 from suspension_twin.addons.view.live import LiveView
 from suspension_twin.drive.write import BagWriter
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.nodes.base import TwinNode
-from suspension_twin.nodes.topics import NS, SENSOR_QOS, STREAM_QOS, WARN
+from suspension_twin.nodes.messages import SENSORS
+from suspension_twin.nodes.topics import NS, SENSOR_QOS, STREAM_QOS, WARN, type_name
 
 __all__ = ["SensorBag", "ViewRecorder", "unused"]
 
-#: Topics of a recorded drive.
-_RECORDED = (
-    (Imu, "imu/data_raw", "sensor_msgs/msg/Imu"),
-    (NavSatFix, "fix", "sensor_msgs/msg/NavSatFix"),
-    (TwistStamped, "vel", "geometry_msgs/msg/TwistStamped"),
-    (QuaternionStamped, "heading", "geometry_msgs/msg/QuaternionStamped"),
-)
 _EVENTS = "events"
 #: s between two times that a recording is written out.
 _FLUSHED = 1.0
@@ -50,7 +43,7 @@ class SensorBag:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.counts = {topic: 0 for _, topic, _ in _RECORDED}
+        self.counts = {topic: 0 for _, topic, _ in SENSORS.values()}
         self._began = time.monotonic()
         self._stack = ExitStack()
         self._bag = self._stack.enter_context(BagWriter(path, live=True))
@@ -77,10 +70,10 @@ class SensorBag:
 
     def flush(self) -> None:
         """Write out what has come so far."""
-        for _, topic, kind in _RECORDED:
+        for kind, topic, _ in SENSORS.values():
             stamps, messages = self._rows[topic]
             if stamps:
-                self._bag.write_raw(topic, kind, np.array(stamps, dtype=np.int64), messages)
+                self._bag.write_raw(topic, type_name(kind), np.array(stamps, dtype=np.int64), messages)
                 self._rows[topic] = [], []
         self._bag.flush()
 
@@ -107,7 +100,7 @@ class ViewRecorder:
         self.subscriptions: dict[str, Subscription] = {}
         self._node, self._view, self._flush_due = node, view, 0.0
         self._events = node.create_publisher(String, _EVENTS, 10)
-        for kind, topic, _ in _RECORDED:
+        for kind, topic, _ in SENSORS.values():
             self._listen(kind, topic, STREAM_QOS)
         self._show()
 
@@ -119,7 +112,7 @@ class ViewRecorder:
 
     def match(self) -> None:
         """Go on at best effort where a publisher offers no more."""
-        for kind, topic, _ in _RECORDED:
+        for kind, topic, _ in SENSORS.values():
             if self.subscriptions[topic].qos_profile.reliability != ReliabilityPolicy.RELIABLE:
                 continue
             offered = self._node.get_publishers_info_by_topic(topic)
@@ -188,12 +181,7 @@ class ViewRecorder:
         self._view.update("record", {"on": on, "seconds": seconds, "path": path})
 
 
-def _names(path: Path) -> Iterator[Path]:
-    yield path
-    for number in range(2, 1000):
-        yield path.with_name(f"{path.stem}_{number}{path.suffix}")
-
-
 def unused(path: Path) -> Path:
     """The path, or one with a number that nothing has yet."""
-    return next(name for name in _names(path) if not name.exists())
+    numbered = (path.with_name(f"{path.stem}_{number}{path.suffix}") for number in count(2))
+    return next(name for name in chain([path], numbered) if not name.exists())

@@ -33,13 +33,13 @@ from suspension_twin.addons.view.server import Requests, Server
 from suspension_twin.errors import InputError, SuspensionTwinError
 from suspension_twin.inference.observation import road_of
 from suspension_twin.nodes.base import TwinNode
+from suspension_twin.nodes.messages import read_odometry
 from suspension_twin.nodes.parameters import TWIN, Param, Values, twin_of
-from suspension_twin.nodes.process import run_alone
 from suspension_twin.nodes.topics import NS, Embedding
 from suspension_twin.vehicle.twin import Twin
 from suspension_twin_interfaces.msg import Gap
 
-__all__ = ["ViewerNode", "main"]
+__all__ = ["ViewerNode"]
 
 #: s between two looks at the buttons of the page.
 _TICK = 0.05
@@ -54,6 +54,7 @@ _MATCHED = 0.5
 class ViewerNode(TwinNode):
     """Topics of a running twin in; a page on ``host`` and ``port`` out."""
 
+    events = True  # many topics, at many times the rate of a drive that is replayed quickly
     parameters = (
         TWIN,
         Param(
@@ -154,10 +155,13 @@ class ViewerNode(TwinNode):
         self.view.simulated(_ns(message), message.accel.linear.z)
 
     def _on_odometry(self, message: Odometry) -> None:
-        covariance = message.pose.covariance
-        sigma = math.sqrt(max(covariance[0], covariance[7], 0.0)) if covariance[35] < 1.0 else math.nan
+        try:
+            pose = read_odometry(message, 0.0)
+        except InputError:  # a value out of range
+            return
+        sigma = math.sqrt(max(pose.covariance[0], pose.covariance[3], 0.0)) if pose.aligned else math.nan
         level, words = advice(round(sigma, 2), self._twin is None or self._twin.road is not None)
-        self._motion = {"speed": round(message.twist.twist.linear.x, 2), "level": level, "advice": words}
+        self._motion = {"speed": round(pose.motion.speed, 2), "level": level, "advice": words}
 
     def _on_gap(self, message: Gap) -> None:
         bands = zip(message.band_low_hz, message.band_high_hz, message.band_rms, strict=True)
@@ -198,7 +202,7 @@ class ViewerNode(TwinNode):
 
     def _answer(self, name: str, number: float | None) -> str:
         """A button of the page; the answer is shown to who pressed it."""
-        plain: dict[str, Callable[[], str]] = {
+        answers: dict[str, Callable[[], str]] = {
             "record": self.recorder.start,
             "stop": self._stop,
             "mark": self.recorder.mark,
@@ -207,16 +211,12 @@ class ViewerNode(TwinNode):
             "diagnose": self.jobs.diagnose,
             "cancel": self.jobs.cancel,
             "load": self.jobs.load,
+            "pause": partial(self.player.set, paused=True),
+            "play": partial(self.player.set, paused=False),
+            "seek": partial(self.player.seek, number),
+            "speed": partial(self.player.speed, number),
         }
-        if name in plain:
-            return plain[name]()
-        leads = {
-            "pause": self.player.pause,
-            "play": self.player.play,
-            "seek": self.player.seek,
-            "speed": self.player.speed,
-        }
-        return leads[name](number)
+        return answers[name]()
 
     def _toggle_guide(self) -> str:
         """Begin a first drive, or end the one that is under way."""
@@ -259,8 +259,5 @@ def _ns(message: Any) -> int:
     return int(stamp.sec * NS + stamp.nanosec)
 
 
-# many topics at many times the rate of a drive that is replayed quickly
-main: Callable[..., Any] = partial(run_alone, ViewerNode, events=True)
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(ViewerNode.main())

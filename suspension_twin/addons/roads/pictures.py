@@ -16,12 +16,12 @@ from suspension_twin.addons.roads.drives.passes import banded
 from suspension_twin.addons.roads.scan.response import RoadResponse
 from suspension_twin.addons.roads.scan.scan import HOLE, ScannedRoad
 from suspension_twin.arrays import Floats
-from suspension_twin.errors import InputError
 from suspension_twin.report import style
 from suspension_twin.road.check import wheel_paths
+from suspension_twin.road.plots import check_picture
 from suspension_twin.road.road import Road
 
-__all__ = ["estimate_figure", "save_estimate_picture", "save_scan_picture", "scan_figure"]
+__all__ = ["estimate_figure", "save_picture", "scan_figure"]
 
 _BLUE, _ORANGE, _GREY, _TRUTH = "#1f6fb2", "#d1661c", "#8a929b", "#22262b"
 _NINETY = 1.645  # standard deviations of a 90 % interval
@@ -29,21 +29,10 @@ _ZOOM = 6.0  # m of a wheel path that are shown
 _SMALL = {"frameon": False, "fontsize": 8}
 
 
-def _save(figure: Figure, path: str | Path) -> None:
+def save_picture(figure: Figure, path: str | Path) -> None:
     """Write a figure as .png, .svg or .pdf. Raises InputError, WorkError."""
-    if Path(path).suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise InputError(path, "a picture is written as .png, .svg or .pdf; name the file so")
+    check_picture(path)
     style.save(figure, path, dpi=130)
-
-
-def save_estimate_picture(found: RoadEstimate, path: str | Path, truth: Floats | None = None) -> None:
-    """Draw :func:`estimate_figure` into a file (.png, .svg or .pdf). Raises InputError, WorkError."""
-    _save(estimate_figure(found, truth), path)
-
-
-def save_scan_picture(found: ScannedRoad, responses: Sequence[RoadResponse], path: str | Path) -> None:
-    """Draw :func:`scan_figure` into a file (.png, .svg or .pdf). Raises InputError, WorkError."""
-    _save(scan_figure(found, responses), path)
 
 
 def _label(axes: Axes, title: str, x: str = "", y: str = "") -> None:

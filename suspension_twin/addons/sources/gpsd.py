@@ -23,11 +23,10 @@ from suspension_twin.drive.types import FixData, HeadingData, VelocityData
 from suspension_twin.errors import InputError
 from suspension_twin.files import Json
 
-__all__ = ["EXAMPLE", "STEPS", "TITLE", "Gpsd", "make"]
+__all__ = ["EXAMPLE", "TITLE", "Gpsd", "make"]
 
 TITLE = "gpsd"
 EXAMPLE = "gpsd://localhost:2947"
-STEPS: Final = ("Antenna on the roof; its place belongs into the twin file (gps.position).",)
 
 _PORT: Final = 2947
 _LONGEST: Final = 65536  # bytes of a line: SKY of many satellites has some thousand
@@ -38,12 +37,12 @@ _STATUS: Final = {2: 1, 3: 2, 4: 2}
 class Gpsd(Receiver):
     """One daemon; with several receivers behind it, all of them."""
 
-    steps: Sequence[str] = STEPS
+    steps: Sequence[str] = ("Antenna on the roof; its place belongs into the twin file (gps.position).",)
 
     def __init__(self, address: Address, hub: Hub, rank: int) -> None:
         if not address.host:
             raise InputError(str(address), "names no host: write gpsd://HOST:PORT")
-        super().__init__(_with_port(address), hub, rank, TITLE, 9600)
+        super().__init__(replace(address, port=address.port or _PORT), hub, rank, TITLE, 9600)
         hub.correctors.remove(self._correct)  # gpsd has NTRIP of its own
         self._rest = b""
 
@@ -118,10 +117,6 @@ _FIELDS: Final = (
     "velE",
     "velD",
 )
-
-
-def _with_port(address: Address) -> Address:
-    return address if address.port else replace(address, port=_PORT)
 
 
 #: See ``SourceModule``.

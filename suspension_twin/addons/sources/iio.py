@@ -29,14 +29,10 @@ from suspension_twin.addons.sources.common.receiver import DescriptorStream
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 
-__all__ = ["EXAMPLE", "STEPS", "TITLE", "Iio", "devices", "make"]
+__all__ = ["EXAMPLE", "TITLE", "Iio", "devices", "make"]
 
 TITLE = "Linux IIO"
 EXAMPLE = "iio:bmi160"
-STEPS: Final = (
-    "The sensor is screwed or glued to the body; its place and axes belong into the twin file (imu).",
-    "?rate=1600 sets its rate, where its interrupt is connected.",
-)
 
 SYSFS: Path = Path("/sys/bus/iio/devices")
 DEV: Path = Path("/dev")
@@ -99,7 +95,10 @@ class _Scan:
 class Iio(PlainSource):
     """One device."""
 
-    steps: Sequence[str] = STEPS
+    steps: Sequence[str] = (
+        "The sensor is screwed or glued to the body; its place and axes belong into the twin file (imu).",
+        "?rate=1600 sets its rate, where its interrupt is connected.",
+    )
 
     def __init__(self, address: Address, hub: Hub, rank: int) -> None:
         address.check_options(("rate", "trigger", "poll"))

@@ -22,16 +22,10 @@ from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.addons.sources.common.sensor_logger import Phones, axes_of
 from suspension_twin.errors import InputError
 
-__all__ = ["EXAMPLE", "STEPS", "TITLE", "Mqtt", "make"]
+__all__ = ["EXAMPLE", "TITLE", "Mqtt", "make"]
 
 TITLE = "MQTT broker"
 EXAMPLE = "mqtt://localhost/sensor-logger"
-STEPS: Final = (
-    "In Sensor Logger: Settings > Data Streaming > MQTT: on; the broker's address and its WebSocket port.",
-    "The topic is the one above; batch period: the shortest. Tap to Test Publish.",
-    "Sensors: Accelerometer, Gravity (Android: Total Acceleration as well), Gyroscope, Location; 100 Hz or more.",
-    "Mount the phone rigidly, start recording, and keep the app in front.",
-)
 
 _PORTS: Final = {
     ("tcp", False): 1883,
@@ -39,7 +33,6 @@ _PORTS: Final = {
     ("websockets", False): 8000,
     ("websockets", True): 8884,
 }
-_TICK: Final = 0.1  # s
 _LARGEST: Final = 4_000_000  # bytes of a message
 _WAITING: Final = 1000  # messages that the event loop may be behind
 
@@ -47,7 +40,12 @@ _WAITING: Final = 1000  # messages that the event loop may be behind
 class Mqtt(PlainSource):
     """One topic of one broker. The client has a thread of its own, which hands messages to the event loop."""
 
-    steps: Sequence[str] = STEPS
+    steps: Sequence[str] = (
+        "In Sensor Logger: Settings > Data Streaming > MQTT: on; the broker's address and its WebSocket port.",
+        "The topic is the one above; batch period: the shortest. Tap to Test Publish.",
+        "Sensors: Accelerometer, Gravity (Android: Total Acceleration as well), Gyroscope, Location; 100 Hz or more.",
+        "Mount the phone rigidly, start recording, and keep the app in front.",
+    )
 
     def __init__(self, address: Address, hub: Hub, rank: int) -> None:
         address.check_options(("transport", "tls", "axes", "device"))
@@ -84,9 +82,7 @@ class Mqtt(PlainSource):
 
     async def run(self) -> None:
         """See :class:`~suspension_twin.addons.sources.LiveSource`."""
-        while True:
-            await asyncio.sleep(_TICK)
-            self.phones.tick(host_time())
+        await self.phones.run()
 
     async def stop(self) -> None:
         """See :class:`~suspension_twin.addons.sources.LiveSource`."""

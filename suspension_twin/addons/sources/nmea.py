@@ -25,14 +25,10 @@ from suspension_twin.addons.sources.common.receiver import Receiver
 from suspension_twin.drive.streams import velocities_from_course
 from suspension_twin.drive.types import FixData, HeadingData
 
-__all__ = ["EXAMPLE", "STEPS", "TITLE", "Nmea", "make"]
+__all__ = ["EXAMPLE", "TITLE", "Nmea", "make"]
 
 TITLE = "NMEA receiver"
 EXAMPLE = "nmea:/dev/ttyUSB0"
-STEPS: Final = (
-    "Switch GGA, RMC and GST on in the receiver, at 5 Hz or more.",
-    "Antenna on the roof; its place belongs into the twin file (gps.position).",
-)
 
 _KNOT: Final = 1852.0 / 3600.0  # m/s, exactly (BIPM)
 _LONGEST: Final = 512  # bytes of a sentence; NMEA 0183 allows 82, some receivers send more
@@ -53,7 +49,10 @@ _QUALITY: Final = {
 class Nmea(Receiver):
     """One receiver."""
 
-    steps: Sequence[str] = STEPS
+    steps: Sequence[str] = (
+        "Switch GGA, RMC and GST on in the receiver, at 5 Hz or more.",
+        "Antenna on the roof; its place belongs into the twin file (gps.position).",
+    )
 
     def __init__(self, address: Address, hub: Hub, rank: int) -> None:
         super().__init__(address, hub, rank, "NMEA", 9600)

@@ -14,21 +14,19 @@ import contextlib
 import math
 import time
 from collections.abc import Sequence
-from datetime import datetime, timezone
 from typing import Final
+
+from pynmeagps import GET, NMEAMessage
 
 from suspension_twin import __version__
 from suspension_twin.addons.sources.common.connection import Address, PlainSource, Stay, keep_connected
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.errors import InputError
 
-__all__ = ["EXAMPLE", "STEPS", "TITLE", "Ntrip", "make"]
+__all__ = ["EXAMPLE", "TITLE", "Ntrip", "make"]
 
 TITLE = "NTRIP caster"
 EXAMPLE = "ntrip://user:password@caster.example:2101/MOUNT"
-STEPS: Final = (
-    "The receiver needs the same frequency bands as the caster's station, some 30 km at most from it.",
-)
 
 _PORT: Final = 2101
 _PATIENCE: Final = 30.0  # s without a byte after which the connection is made anew
@@ -39,7 +37,9 @@ _EVERY: Final = 10.0  # s between two positions for the caster
 class Ntrip(PlainSource):
     """One mountpoint of one caster."""
 
-    steps: Sequence[str] = STEPS
+    steps: Sequence[str] = (
+        "The receiver needs the same frequency bands as the caster's station, some 30 km at most from it.",
+    )
 
     def __init__(self, address: Address, hub: Hub, rank: int) -> None:
         address.check_options(("gga",))
@@ -145,21 +145,19 @@ def _gga(hub: Hub) -> bytes:
     device = hub.chosen.get("fix")
     if device is None or device.place is None:
         return b""
-    latitude, longitude, height = device.place
-    at = datetime.now(timezone.utc)
-
-    def angle(value: float, digits: int) -> str:
-        degrees, minutes = divmod(round(abs(value) * 60.0, 7), 60.0)
-        return f"{int(degrees):0{digits}d}{minutes:010.7f}"
-
-    body = (
-        f"GPGGA,{at:%H%M%S}.00,{angle(latitude, 2)},{'N' if latitude >= 0 else 'S'},"
-        f"{angle(longitude, 3)},{'E' if longitude >= 0 else 'W'},1,12,1.0,{height:.1f},M,0.0,M,,"
-    )
-    check = 0
-    for byte in body.encode():
-        check ^= byte
-    return f"${body}*{check:02X}\r\n".encode() if math.isfinite(height) else b""
+    latitude, longitude, height = (round(value, 9) for value in device.place)  # no 60.0 minutes
+    if not math.isfinite(height):
+        return b""
+    values = {
+        "lat": latitude,
+        "lon": longitude,
+        "alt": round(height, 1),
+        "quality": 1,
+        "numSV": 12,
+        "HDOP": 1.0,
+    }
+    sentence = NMEAMessage("GP", "GGA", GET, hpnmeamode=True, **values, altUnit="M", sepUnit="M", diffAge="")
+    return bytes(sentence.serialize())
 
 
 #: See ``SourceModule``.

@@ -37,16 +37,10 @@ from suspension_twin.drive.clocks import ExperimentTime
 from suspension_twin.drive.streams import phone_fix, velocities_from_course
 from suspension_twin.errors import InputError
 
-__all__ = ["EXAMPLE", "STEPS", "TITLE", "Phyphox", "make"]
+__all__ = ["EXAMPLE", "TITLE", "Phyphox", "make"]
 
 TITLE = "phyphox"
 EXAMPLE = "phyphox://192.168.1.20:8080"
-STEPS: Final = (
-    "Phone and laptop are in one network, such as the phone's hotspot.",
-    "In phyphox: + > Add experiment from QR code: the code above (config/phyphox/suspension_twin.phyphox).",
-    "Open it; in its menu: Allow remote access. The app shows the address that belongs into phyphox://HOST:PORT.",
-    "Mount the phone rigidly and keep the app in front.",
-)
 
 _PORT: Final = 8080  # Android's; iPhones have 80
 _MOST: Final = 32_000_000  # bytes of an answer: a minute of 400 Hz takes 4 MB
@@ -82,7 +76,12 @@ class _Sensor:
 class Phyphox(PlainSource):
     """One phone, asked again and again."""
 
-    steps: Sequence[str] = STEPS
+    steps: Sequence[str] = (
+        "Phone and laptop are in one network, such as the phone's hotspot.",
+        "In phyphox: + > Add experiment from QR code: the code above (config/phyphox/suspension_twin.phyphox).",
+        "Open it; in its menu: Allow remote access. The app shows the address that belongs into phyphox://HOST:PORT.",
+        "Mount the phone rigidly and keep the app in front.",
+    )
 
     def __init__(self, address: Address, hub: Hub, rank: int) -> None:
         address.check_options(("period",))

@@ -7,39 +7,32 @@ Options: ``token`` (needed where the address is open to a network; made and kept
 
 from __future__ import annotations
 
-import asyncio
 import html
 from collections.abc import Sequence
-from typing import Final
 
-from suspension_twin.addons.sources.common.clock import host_time
 from suspension_twin.addons.sources.common.connection import Address, PlainSource
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.addons.sources.common.sensor_logger import Phones, axes_of
 from suspension_twin.addons.sources.common.server import PushServer
 from suspension_twin.errors import InputError
 
-__all__ = ["EXAMPLE", "STEPS", "TITLE", "SensorLogger", "make"]
+__all__ = ["EXAMPLE", "TITLE", "SensorLogger", "make"]
 
 TITLE = "Sensor Logger"
 EXAMPLE = "sensorlogger://0.0.0.0:8000"
-STEPS: Final = (
-    "Phone and laptop are in one network, such as the phone's hotspot.",
-    "In Sensor Logger: Settings > Data Streaming > HTTP Push: on; batch period: the shortest.",
-    "Push URL: the address above; the QR code opens it in the phone's browser, to be copied.",
-    "Tap to Test Pushing: it must say that the message was sent.",
-    "Sensors: Accelerometer, Gravity (Android: Total Acceleration as well), Gyroscope, Location; 100 Hz or more.",
-    "Mount the phone rigidly, start recording, and keep the app in front.",
-)
-
-#: s between looks for messages that have not come.
-_TICK = 0.1
 
 
 class SensorLogger(PlainSource):
     """The server and its phones."""
 
-    steps: Sequence[str] = STEPS
+    steps: Sequence[str] = (
+        "Phone and laptop are in one network, such as the phone's hotspot.",
+        "In Sensor Logger: Settings > Data Streaming > HTTP Push: on; batch period: the shortest.",
+        "Push URL: the address above; the QR code opens it in the phone's browser, to be copied.",
+        "Tap to Test Pushing: it must say that the message was sent.",
+        "Sensors: Accelerometer, Gravity (Android: Total Acceleration as well), Gyroscope, Location; 100 Hz or more.",
+        "Mount the phone rigidly, start recording, and keep the app in front.",
+    )
 
     def __init__(self, address: Address, hub: Hub, rank: int) -> None:
         address.check_options(("token", "axes", "device"))
@@ -59,7 +52,7 @@ class SensorLogger(PlainSource):
 
     def _page(self) -> str:
         """The page for the phone's browser: the address to copy, and the steps of the set-up."""
-        steps = "".join(f"<li>{html.escape(step)}</li>" for step in STEPS)
+        steps = "".join(f"<li>{html.escape(step)}</li>" for step in self.steps)
         return (
             "<!doctype html><meta name=viewport content='width=device-width'><title>suspension_twin</title>"
             "<body style='font: 1.2em sans-serif; margin: 1em'><p>Push URL:</p>"
@@ -69,9 +62,7 @@ class SensorLogger(PlainSource):
 
     async def run(self) -> None:
         """See :class:`~suspension_twin.addons.sources.LiveSource`."""
-        while True:
-            await asyncio.sleep(_TICK)
-            self.phones.tick(host_time())
+        await self.phones.run()
 
     async def stop(self) -> None:
         """See :class:`~suspension_twin.addons.sources.LiveSource`."""

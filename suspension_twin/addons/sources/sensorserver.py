@@ -34,16 +34,10 @@ from suspension_twin.drive.streams import phone_fix, velocities_from_course
 from suspension_twin.errors import InputError
 from suspension_twin.files import Json
 
-__all__ = ["EXAMPLE", "STEPS", "TITLE", "SensorServer", "make"]
+__all__ = ["EXAMPLE", "TITLE", "SensorServer", "make"]
 
 TITLE = "SensorServer"
 EXAMPLE = "sensorserver://192.168.1.20:8080"
-STEPS: Final = (
-    "Phone and laptop are in one network, such as the phone's hotspot; or by USB: Local Host on, adb forward.",
-    "In SensorServer: Settings > Sampling rate: 10000 µs or less; allow the location.",
-    "Start: the app shows the address that belongs into sensorserver://HOST:PORT.",
-    "Mount the phone rigidly and keep the app in front.",
-)
 
 _FORCE: Final = "android.sensor.accelerometer"
 _RATE: Final = "android.sensor.gyroscope"
@@ -60,7 +54,12 @@ _CLOSED: Final = {
 class SensorServer(PlainSource):
     """One phone: a connection for its sensors and one for its location."""
 
-    steps: Sequence[str] = STEPS
+    steps: Sequence[str] = (
+        "Phone and laptop are in one network, such as the phone's hotspot; or by USB: Local Host on, adb forward.",
+        "In SensorServer: Settings > Sampling rate: 10000 µs or less; allow the location.",
+        "Start: the app shows the address that belongs into sensorserver://HOST:PORT.",
+        "Mount the phone rigidly and keep the app in front.",
+    )
 
     def __init__(self, address: Address, hub: Hub, rank: int) -> None:
         address.check_options(())

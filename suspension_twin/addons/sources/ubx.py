@@ -26,14 +26,10 @@ from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.addons.sources.common.receiver import ByteStream, Receiver
 from suspension_twin.drive.types import FixData, HeadingData, VelocityData
 
-__all__ = ["EXAMPLE", "STEPS", "TITLE", "Ubx", "make"]
+__all__ = ["EXAMPLE", "TITLE", "Ubx", "make"]
 
 TITLE = "u-blox receiver"
 EXAMPLE = "ubx:/dev/ttyACM0"
-STEPS: Final = (
-    "?rate=10 switches NAV-PVT and NAV-HPPOSLLH on, until the receiver is switched off.",
-    "Antenna on the roof; its place belongs into the twin file (gps.position).",
-)
 
 _SYNC: Final = b"\xb5\x62"
 _LONGEST: Final = 1200  # bytes of a frame that is waited for; those used have 100
@@ -49,7 +45,10 @@ _PORTS: Final = ("USB", "UART1", "UART2")
 class Ubx(Receiver):
     """One receiver."""
 
-    steps: Sequence[str] = STEPS
+    steps: Sequence[str] = (
+        "?rate=10 switches NAV-PVT and NAV-HPPOSLLH on, until the receiver is switched off.",
+        "Antenna on the roof; its place belongs into the twin file (gps.position).",
+    )
 
     def __init__(self, address: Address, hub: Hub, rank: int) -> None:
         super().__init__(address, hub, rank, "u-blox", 38400, ("rate", "heading"))

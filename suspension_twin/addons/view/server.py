@@ -22,14 +22,15 @@ from queue import SimpleQueue
 from typing import TypeVar
 from urllib.parse import urlsplit
 
+import numpy as np
 from aiohttp import WSMsgType, web
 
-from suspension_twin.addons.view.ground import tile
+from suspension_twin.addons.sources.common.connection import is_local, url_host
 from suspension_twin.addons.view.live import LiveView
 from suspension_twin.errors import InputError, SuspensionTwinError, WorkError
 from suspension_twin.road.road import Road
 
-__all__ = ["ACTIONS", "Requests", "Server", "Site", "is_local"]
+__all__ = ["ACTIONS", "NODES", "SIDE", "Requests", "Server", "Site", "tile"]
 
 _T = TypeVar("_T")
 
@@ -56,12 +57,27 @@ _BEAT = 1.0  # s after which an empty frame says that the program is still there
 _HERE = Path(__file__).parent
 _FILES = frozenset({"app.js", "charts.js", "fleet.js", "scene.js", "style.css"})
 _COOKIE = "suspension_twin"
+#: A tile is a square of this side in m with this many heights along each edge, both ends included.
+SIDE, NODES = 4.0, 41
+#: Tiles are numbered up to this far from the datum in m.
+_FARTHEST = 1e6
 _POLICY = "default-src 'self'; connect-src 'self' ws: wss:; img-src 'self' data:; frame-ancestors 'none'"
 
 
-def is_local(host: str) -> bool:
-    """Whether only this machine can reach what listens on ``host``."""
-    return host in ("localhost", "::1") or host.startswith("127.")
+def tile(road: Road | None, column: int, row: int) -> bytes:
+    """Heights in m on the tile that begins at x ``column`` times, y ``row`` times :data:`SIDE`.
+
+    float32, little-endian, rows of constant y one after the other. NaN where the road has no data; a plane where
+    there is no road. Raises ValueError for a tile too far away.
+    """
+    if max(abs(column), abs(row)) * SIDE > _FARTHEST:
+        raise ValueError("too far from the datum")
+    if road is None:
+        return np.zeros(NODES * NODES, dtype="<f4").tobytes()
+    steps = np.linspace(0.0, SIDE, NODES)
+    x, y = np.meshgrid(column * SIDE + steps, row * SIDE + steps)
+    samples = road.sample(x.ravel(), y.ravel())
+    return np.where(samples.inside, samples.z, np.nan).astype("<f4").tobytes()
 
 
 class Site:
@@ -90,8 +106,7 @@ class Site:
     def url(self) -> str:
         """The address to open."""
         host = socket.gethostname() if self.host in ("0.0.0.0", "::") else self.host
-        host = f"[{host}]" if ":" in host else host
-        return f"http://{host}:{self.port}/" + (f"?token={self.token}" if self.token else "")
+        return f"http://{url_host(host)}:{self.port}/" + (f"?token={self.token}" if self.token else "")
 
     def close(self) -> None:
         """Stop serving."""

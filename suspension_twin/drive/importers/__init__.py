@@ -16,7 +16,7 @@ from suspension_twin.errors import InputError
 from suspension_twin.files import reading
 from suspension_twin.registry import Registry
 
-__all__ = ["IMPORTERS", "Importer", "importer_of", "load_importer", "read_source"]
+__all__ = ["IMPORTERS", "Importer", "importer_of", "read_source"]
 
 
 @runtime_checkable
@@ -43,11 +43,6 @@ IMPORTERS: Final = Registry[Importer](
     },
     kind=Importer,
 )
-
-
-def load_importer(name: str) -> Importer:
-    """The importer of a registered name; InputError for another."""
-    return IMPORTERS.named(name, "importer")
 
 
 def importer_of(source: RecordedFiles) -> Importer:

@@ -17,10 +17,7 @@ def test_the_newest_row_of_each_vehicle_counts(fleet_folder: Path, repository: P
     own, other = str(fleet_folder / "twin.yaml"), str(repository / "config/twins/ford_mondeo_mk4.yaml")
     rows = [("car 7", "2026-02-01", own), ("2nd", "", other), ("car 7", "2026-01-01", other)]
     found = fleet_twins([Item(v, d, t, ("x",)) for v, d, t in rows], tmp_path)
-    assert [(t.vehicle, t.namespace, str(t.file)) for t in found] == [
-        ("car 7", "car_7", own),
-        ("2nd", "v2nd", other),
-    ]
+    assert [(name, str(file)) for name, file in found.items()] == [("car_7", own), ("v2nd", other)]
 
 
 def test_a_road_of_the_manifest_takes_the_place_of_the_twins_own(
@@ -28,8 +25,8 @@ def test_a_road_of_the_manifest_takes_the_place_of_the_twins_own(
 ) -> None:
     twin = str(repository / "config/twins/ford_mondeo_mk4.yaml")
     road = fleet_folder / "road.crg"
-    (found,) = fleet_twins([Item("a", "", twin, ("x",), road=str(road))], tmp_path)
-    moved = load_twin(found.file)
+    found = fleet_twins([Item("a", "", twin, ("x",), road=str(road))], tmp_path)
+    moved = load_twin(found["a"])
     assert moved.road is not None and moved.road.file == road
     assert moved.vehicle == load_twin(twin).vehicle
 

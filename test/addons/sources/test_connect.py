@@ -147,7 +147,7 @@ def test_a_rate_is_judged_once_a_stream_has_come_for_a_second(rate: float, slow:
 
 @pytest.mark.parametrize("name", SOURCES)
 def test_every_source_says_how_it_is_set_up(name: str) -> None:
-    assert all(step.endswith(".") and len(step) < 120 for step in SOURCES[name].STEPS)
+    assert all(step.endswith(".") and len(step) < 120 for step in SOURCES[name].make.steps)
 
 
 def test_on_a_terminal_the_address_is_a_qr_code(monkeypatch: pytest.MonkeyPatch) -> None:

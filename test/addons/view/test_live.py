@@ -9,8 +9,8 @@ import math
 import numpy as np
 import pytest
 
-from suspension_twin.addons.view.ground import NODES, SIDE, tile
 from suspension_twin.addons.view.live import LiveView, NodeStatus, advice, scene
+from suspension_twin.addons.view.server import NODES, SIDE, tile
 from suspension_twin.vehicle.twin import load_twin
 
 START = 1_700_000_000_000_000_000

@@ -28,14 +28,14 @@ from suspension_twin.road.road import Road
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["Part", "road_from_drives", "surface_of", "write_estimate"]
+__all__ = ["DrivenPart", "road_from_drives", "surface_of", "write_estimate"]
 
 #: Channels are compared up to the wheel hop and beyond; the default low-pass takes half of that away.
 _FILTER = FilterSpec(order=4, cutoff=30.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class DrivenPart:
     """A recorded drive, or its part from ``start`` to ``end`` s after its first sample."""
 
     drive: Drive
@@ -64,7 +64,7 @@ class Part:
 
 
 def road_from_drives(
-    parts: Sequence[Part | Drive],
+    parts: Sequence[DrivenPart | Drive],
     twin: Twin,
     settings: RoadEstimateSettings | None = None,
     progress: Callable[[str, float], None] = lambda text, share: None,
@@ -73,7 +73,7 @@ def road_from_drives(
 
     Parameters
     ----------
-    parts : sequence of Part or Drive
+    parts : sequence of DrivenPart or Drive
         One drive or more over the same road in the same direction; the more and the more different their
         speeds, the better.
     twin : Twin
@@ -97,7 +97,7 @@ def road_from_drives(
     --------
     >>> from suspension_twin.drive.read import read_drive
     >>> from suspension_twin.vehicle.twin import load_twin
-    >>> part = Part(read_drive("bags/bump_15kmh"), 8.0, 20.0)
+    >>> part = DrivenPart(read_drive("bags/bump_15kmh"), 8.0, 20.0)
     >>> found = road_from_drives([part], load_twin("bags/bump_15kmh/twin.yaml"), RoadEstimateSettings(2, 2))
     >>> bool(found.profiles.heights.max() > 0.02)
     True
@@ -106,19 +106,15 @@ def road_from_drives(
         raise InputError(
             "twin", "model", f"a road is estimated with the axles of a car, {twin.model} has none"
         )
-    pieces = [part if isinstance(part, Part) else Part(part) for part in parts]
+    pieces = [part if isinstance(part, DrivenPart) else DrivenPart(part) for part in parts]
     if not pieces:
         raise InputError("drives", "none is given")
     twin = with_datum(twin, pieces[0].drive)
-    read: list[tuple[Drive, Observation]] = []
-    prepared = []
-    for piece in pieces:
-        whole = next((found for drive, found in read if drive is piece.drive), None)
-        if whole is None:
-            progress(f"reading {piece.drive.name}", 0.0)
-            whole = prepare_drive(piece.drive, twin, _FILTER)
-            read.append((piece.drive, whole))
-        prepared.append(replace(piece.of(whole), name=piece.name))
+    read: dict[Drive, Observation] = {}
+    for drive in dict.fromkeys(piece.drive for piece in pieces):
+        progress(f"reading {drive.name}", 0.0)
+        read[drive] = prepare_drive(drive, twin, _FILTER)
+    prepared = [replace(piece.of(read[piece.drive]), name=piece.name) for piece in pieces]
     return estimate_road(prepared, twin, settings, progress)
 
 
@@ -156,7 +152,8 @@ def write_estimate(found: RoadEstimate, twin: Twin, path: Path) -> Json:
     >>> from suspension_twin.drive.read import read_drive
     >>> from suspension_twin.vehicle.twin import load_twin
     >>> twin = load_twin("bags/bump_15kmh/twin.yaml")
-    >>> found = road_from_drives([Part(read_drive("bags/bump_15kmh"), 8.0, 20.0)], twin, RoadEstimateSettings(2, 2))
+    >>> part = DrivenPart(read_drive("bags/bump_15kmh"), 8.0, 20.0)
+    >>> found = road_from_drives([part], twin, RoadEstimateSettings(2, 2))
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     write_estimate(found, twin, Path(folder) / "road.crg")["origin"]
     'drives'

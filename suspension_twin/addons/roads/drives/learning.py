@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from suspension_twin.addons.roads.drives.drives import Part, road_from_drives, write_estimate
+from suspension_twin.addons.roads.drives.drives import DrivenPart, road_from_drives, write_estimate
 from suspension_twin.addons.roads.drives.estimate import RoadEstimateSettings
 from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, Samples, VelocityData
 from suspension_twin.files import Json, replacing, together
@@ -123,38 +123,34 @@ class Lesson:
         The twin file.
     out : str
         The OpenCRG file to write; its record and the twin on it have its name with ``.json`` and ``.yaml``.
-    passes : tuple of (Drive, float, float)
-        Of each pass the drive that it lies in, and its start and end in s (as the drive's stamps).
+    drives : tuple of Drive
+        The drives.
+    passes : tuple of (int, float, float)
+        Of each pass the number of its drive, and its start and end in s (as the drive's stamps).
     datum : tuple of float, optional
         Latitude and longitude in degrees and altitude in m that the poses count from, where the twin file says none.
     """
 
     twin: str
     out: str
-    passes: tuple[tuple[Drive, float, float], ...]
+    drives: tuple[Drive, ...]
+    passes: tuple[tuple[int, float, float], ...]
     datum: tuple[float, float, float] | None = None
 
 
 def write_lesson(lesson: Lesson, path: Path) -> None:
-    """Write a lesson as arrays of NumPy in a file ``.npz``, each drive once. Raises InputError, WorkError."""
-    drives: list[Drive] = []
-    for drive, _, _ in lesson.passes:
-        drives += [] if any(drive is known for known in drives) else [drive]
+    """Write a lesson as arrays of NumPy in a file ``.npz``. Raises InputError, WorkError."""
     arrays: dict[str, NDArray[Any]] = {}
-    for k, drive in enumerate(drives):
-        kinds = {kind: getattr(drive, kind) for kind in _KINDS}
-        for kind, samples in kinds.items():
-            values = {} if samples is None else vars(samples)
+    for k, drive in enumerate(lesson.drives):
+        for kind in _KINDS:
+            values = vars(samples) if (samples := getattr(drive, kind)) is not None else {}
             arrays |= {f"{k}.{kind}.{n}": np.asarray(v) for n, v in values.items() if v is not None}
     text = {
         "twin": lesson.twin,
         "out": lesson.out,
         "datum": lesson.datum,
-        "drives": [(drive.name, drive.warnings) for drive in drives],
-        "passes": [
-            (next(k for k, known in enumerate(drives) if known is drive), start, end)
-            for drive, start, end in lesson.passes
-        ],
+        "drives": [(drive.name, drive.warnings) for drive in lesson.drives],
+        "passes": lesson.passes,
     }
     with replacing(path) as temporary:
         np.savez(temporary, lesson=np.array(json.dumps(text)), **arrays)  # type: ignore[arg-type]
@@ -173,9 +169,8 @@ def read_lesson(path: Path) -> Lesson:
             own = {n.removeprefix(start): a for n, a in arrays.items() if n.startswith(start)}
             parts[kind] = make(**{n: a if a.ndim else str(a) for n, a in own.items()}) if own else None
         drives.append(Drive(name, **parts, warnings=tuple(warnings)))
-    passes = tuple((drives[k], start, end) for k, start, end in text["passes"])
     datum = None if text["datum"] is None else tuple(text["datum"])
-    return Lesson(text["twin"], text["out"], passes, datum)
+    return Lesson(text["twin"], text["out"], tuple(drives), tuple(map(tuple, text["passes"])), datum)
 
 
 def twin_path(out: Path) -> Path:
@@ -211,9 +206,10 @@ def learn_road(lesson: Lesson, progress: Callable[[str, float], None] = lambda t
         datum = Datum(latitude=latitude, longitude=longitude, altitude=altitude)
         twin = twin.with_changes({"datum": datum.model_dump()})
     parts = []
-    for number, (drive, start, end) in enumerate(lesson.passes, 1):
+    for number, (which, start, end) in enumerate(lesson.passes, 1):
+        drive = lesson.drives[which]
         first = float(drive.imu.t[0])
-        parts.append(Part(drive, start - first, end - first, f"pass {number}"))
+        parts.append(DrivenPart(drive, start - first, end - first, f"pass {number}"))
     found = road_from_drives(parts, twin, _SETTINGS, progress)
     out = Path(lesson.out)
     with together():

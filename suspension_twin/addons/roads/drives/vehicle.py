@@ -112,8 +112,6 @@ class VehicleEstimate:
         Of PARAMETERS about the twin that was given.
     covariance : (k, k) array
         Theirs.
-    prior : (k,) array
-        Prior standard deviations.
     amplitude : float
         Relative standard deviation of the road's heights in the waves between 0.5 and 10 m due to the vehicle.
     open : tuple of Direction
@@ -124,7 +122,6 @@ class VehicleEstimate:
 
     values: Floats
     covariance: Floats
-    prior: Floats
     amplitude: float
     open: tuple[Direction, ...]
     twin: Twin
@@ -142,7 +139,7 @@ class VehicleEstimate:
             low, middle, high = (float(self.values[i] + q * self.sigma[i]) for q in (-1.645, 0.0, 1.645))
             if p.prior.log:
                 low, middle, high = math.exp(low), math.exp(middle), math.exp(high)
-            left = float(self.sigma[i] / self.prior[i])
+            left = float(self.sigma[i] / p.prior.spread)
             row = {"name": name, "unit": "" if p.prior.log else "m", "value": middle, "interval": [low, high]}
             rows.append({**row, "left_of_prior": left})
         return rows
@@ -264,7 +261,6 @@ def vehicle_estimate(
     return VehicleEstimate(
         values=step.values,
         covariance=step.covariance,
-        prior=_SPREAD,
         amplitude=float(math.sqrt(gains @ step.covariance @ gains)),
         open=tuple(found),
         twin=scaled_twin(twin, step.values),

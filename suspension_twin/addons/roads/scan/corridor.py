@@ -26,9 +26,10 @@ from suspension_twin.addons.roads.recording import (
 from suspension_twin.addons.roads.scan.clouds import SCAN_UNITS, Cloud, Georeference
 from suspension_twin.addons.roads.scan.surface import Points
 from suspension_twin.arrays import Floats, runs
+from suspension_twin.drive.foreign_files import read_table
 from suspension_twin.drive.read import read_drive
 from suspension_twin.errors import InputError
-from suspension_twin.files import reading
+from suspension_twin.files import read_bytes
 from suspension_twin.pose.local_map import LocalMap
 from suspension_twin.road.build import Centreline, road_over
 from suspension_twin.road.crg import load_road
@@ -44,6 +45,7 @@ _COLUMNS = {n: n for n in ("x", "y", "lat", "lon")} | {
     "latitude": "lat",
     "longitude": "lon",
 }
+_LARGEST_PATH = 1 << 28  # bytes of a CSV of points
 #: Side of the cells that know the nearest point of the line, m, unless the map of them grows too large.
 _RASTER, _LARGEST = 0.5, 4_000_000
 #: Points of a cloud that are kept to find out why it does not cover the line.
@@ -105,30 +107,17 @@ def read_path(path: Path, twin: Twin, step: float) -> ScanPath:
 
 def _csv(path: Path, twin: Twin) -> tuple[Floats, Floats]:
     """x and y in ``map`` of the points of a CSV file."""
-    with reading(path, "a path"):
-        text = path.read_text(encoding="utf-8-sig")
-    lines = [line.strip() for line in text.splitlines() if line.strip() and not line.startswith("#")]
-    if not lines:
-        raise InputError(path, "is empty")
-    mark = next((m for m in (";", "\t", ",") if m in lines[0]), None)
-    names = [re.split(r"[ \[(]", word.strip().lower())[0] for word in lines[0].split(mark)]
+    table = read_table(read_bytes(path, _LARGEST_PATH), str(path))
+    names = [re.split(r"[ \[(]", name.lower())[0] for name in table.names]
     columns = {_COLUMNS[name]: i for i, name in enumerate(names) if name in _COLUMNS}
-    rows = lines[1:] if columns else lines
-    columns = columns or {"x": 0, "y": 1}
+    if not names:
+        columns = {"x": 0, "y": 1}
     pair = ("lat", "lon") if {"lat", "lon"} <= set(columns) else ("x", "y")
     if not set(pair) <= set(columns):
         raise InputError(path, "heading", "needs x and y, or lat and lon")
-    points = np.empty((len(rows), 2))
-    for i, line in enumerate(rows):
-        cells = line.split(mark)
-        try:
-            points[i] = [float(cells[columns[name]]) for name in pair]
-        except (ValueError, IndexError):
-            raise InputError(
-                path, f"point {i + 1}", f"{line[:40]!r} has no {pair[0]} and {pair[1]}"
-            ) from None
+    points = table.vector([columns[name] for name in pair])
     if len(points) < 2 or not np.isfinite(points).all():
-        raise InputError(path, "needs two points or more, all finite")
+        raise InputError(path, f"needs two points or more, {pair[0]} and {pair[1]} of each a finite number")
     if pair == ("lat", "lon"):
         if twin.datum is None:
             raise InputError(path, "has lat and lon: give a datum with --datum or a twin file")

@@ -61,13 +61,11 @@ def steady_path(road: Road, twin: Twin, speed: float) -> Trajectory:
     return path_along(road, t, ((0.0, speed), (seconds, speed)), begin)
 
 
-def vertical_acceleration(
-    road: Road, twin: Twin, path: Trajectory | Observation, max_step: float = 1e-3
-) -> Floats:
+def vertical_acceleration(road: Road, twin: Twin, path: Trajectory | Observation) -> Floats:
     """Filtered vertical acceleration (n,) m/s² at the sensor, on a path or over a prepared drive."""
     if isinstance(path, Observation):
-        return simulated_channels(path, twin, road, max_step)["vertical_acceleration"]
-    response = simulate_twin(twin, excitation(path, twin.vehicle, road, max_step))
+        return simulated_channels(path, twin, road)["vertical_acceleration"]
+    response = simulate_twin(twin, excitation(path, twin.vehicle, road))
     out: Floats = sosfiltfilt(FilterSpec().sections(_RATE), response.vertical_acceleration)
     return out[round(_SETTLE * _RATE) :]
 

@@ -414,9 +414,9 @@ def scan_road(
     with together():
         write_scan(found, out, named, along, responses)
         if picture is not None:
-            from suspension_twin.addons.roads.pictures import save_scan_picture
+            from suspension_twin.addons.roads.pictures import save_picture, scan_figure
 
-            save_scan_picture(found, responses, picture)
+            save_picture(scan_figure(found, responses), picture)
     return found, responses, check_file(out), notes
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import asyncio
+import ipaddress
 import json
 import math
 import time
@@ -23,6 +24,7 @@ __all__ = [
     "PlainSource",
     "Stay",
     "fetch",
+    "is_local",
     "keep_connected",
     "number",
     "parse_address",
@@ -53,8 +55,7 @@ class Address:
         """Host and port, or the path."""
         if not self.host:
             return self.path
-        host = f"[{self.host}]" if ":" in self.host else self.host
-        return f"//{host}{f':{self.port}' if self.port else ''}{self.path}"
+        return f"//{url_host(self.host)}{f':{self.port}' if self.port else ''}{self.path}"
 
     def check_options(self, known: Collection[str]) -> None:
         """Raise InputError for an option that is not ``known``."""
@@ -124,6 +125,14 @@ class PlainSource:
 
     async def stop(self) -> None:
         """See :class:`~suspension_twin.addons.sources.LiveSource`."""
+
+
+def is_local(host: str) -> bool:
+    """Whether only this machine reaches ``host``."""
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
 
 
 def url_host(host: str) -> str:

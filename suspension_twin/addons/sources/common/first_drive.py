@@ -57,8 +57,8 @@ class Standstill:
         Mean angular rate in rad/s, in the sensor's axes.
     force : (3,) array
         Mean specific force in m/s², by the twin file in axes of ``base_link``.
-    force_noise, rate_noise : float
-        Standard deviation of the white noise on an axis, m/s² and rad/s.
+    force_noise : float
+        Standard deviation of the white noise on an axis, m/s².
     mounting : Finding, optional
         What is wrong with the mounting by the twin file, or None.
     """
@@ -67,7 +67,6 @@ class Standstill:
     rate_bias: Floats
     force: Floats
     force_noise: float
-    rate_noise: float
     mounting: Finding | None
 
     def __str__(self) -> str:
@@ -149,8 +148,6 @@ class FirstDrive:
         Places of the sensors, datum, road and wheels.
     passes : int
         Passes of the bump that are asked for.
-    road : Road, optional
-        The road; that of the twin file by default.
 
     Raises
     ------
@@ -169,11 +166,11 @@ class FirstDrive:
     (True, [15, 15, 15])
     """
 
-    def __init__(self, twin: Twin, passes: int = PASSES, road: Road | None = None) -> None:
+    def __init__(self, twin: Twin, passes: int = PASSES) -> None:
         if model_of(twin).recordings != "drive":
             raise InputError("twin", "model", f"{twin.model} is not driven on a road with an IMU")
         self._twin, self._wanted = twin, passes
-        self._road = road_of(twin) if road is None else road
+        self._road = road_of(twin)
         wheels = np.array([joint.origin for joint in twin.joints])
         self._length = float(np.ptp(wheels[:, 0]))
         self._first, self._last = excited_part(self._road, tuple(sorted(set(wheels[:, 1].tolist()))))
@@ -306,7 +303,6 @@ class FirstDrive:
             rate_bias=rate[still].mean(axis=0),
             force=mean,
             force_noise=white_noise(force[still]),
-            rate_noise=white_noise(rate[still]),
             mounting=check_mounting(mean, self._twin.imu.rpy, settings.max_bias / STANDARD_GRAVITY),
         )
         self._window = []

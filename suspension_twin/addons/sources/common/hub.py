@@ -94,11 +94,8 @@ class Device:
         of a fraction of a period.
         """
         force, rate = self._force, self._rate
-        if not force.t.size or rate.t.size < 2:
-            self._give_up()
-            return
         period = rate.period
-        reach = float(rate.t[-1]) + (_AHEAD * period if complete else 0.0)
+        reach = -math.inf if rate.t.size < 2 else float(rate.t[-1]) + (_AHEAD * period if complete else 0.0)
         ready = int(np.searchsorted(force.t, reach, side="right"))
         if not ready:
             self._give_up()

@@ -9,14 +9,15 @@ negated unless "Standardise Units & Frames" is on; :class:`_Axes` finds out.
 
 from __future__ import annotations
 
+import asyncio
 import math
 from collections import deque
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
 
+from suspension_twin.addons.sources.common.clock import host_time
 from suspension_twin.addons.sources.common.connection import Address, number, read_object
 from suspension_twin.addons.sources.common.hub import Device, Hub
 from suspension_twin.arrays import Floats
@@ -56,6 +57,7 @@ _FIRST, _LAST = 1_000_000_000_000_000_000, 4_000_000_000_000_000_000
 #: s for which a message is waited for that others have overtaken, and for which samples wait for the axes to be known.
 _OVERTAKEN, _UNDECIDED = 0.5, 3.0
 _FIRST_OVERTAKEN = 4
+_TICK = 0.1  # s between looks for messages that have not come
 #: A message this much older than the newest is the first of a new count.
 _RECOUNT = 1000
 
@@ -351,9 +353,12 @@ class Phones:
         return phone is not None and phone.device not in self._hub.chosen.values()
 
     def tick(self, now: float) -> None:
-        """To be called some times a second."""
-        for phone in self._each():
+        """Go on without messages that have not come until ``now`` s."""
+        for phone in list(self._phones.values()):
             phone.tick(now)
 
-    def _each(self) -> Iterable[_Phone]:
-        return list(self._phones.values())
+    async def run(self) -> None:
+        """Look some times a second for messages that have not come."""
+        while True:
+            await asyncio.sleep(_TICK)
+            self.tick(host_time())

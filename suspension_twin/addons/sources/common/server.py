@@ -10,7 +10,6 @@ import asyncio
 import contextlib
 import errno
 import hmac
-import ipaddress
 import logging
 import os
 import secrets
@@ -24,10 +23,10 @@ from typing import Final
 from aiohttp import WSMsgType, web
 
 from suspension_twin.addons.sources.common.clock import host_time
-from suspension_twin.addons.sources.common.connection import Address
+from suspension_twin.addons.sources.common.connection import Address, is_local, url_host
 from suspension_twin.errors import InputError
 
-__all__ = ["Limits", "PushServer", "is_loopback", "kept_token", "network_address"]
+__all__ = ["Limits", "PushServer", "kept_token", "network_address"]
 
 _TOKEN_LENGTH: Final = 8  # the shortest that is taken
 _PEERS: Final = 256
@@ -47,16 +46,6 @@ class Limits:
     connections: int = 64
     attempts: int = 20
     patience: float = 10.0
-
-
-def is_loopback(host: str) -> bool:
-    """Whether only this machine reaches ``host``."""
-    if host in ("", "localhost"):
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
 
 
 def network_address() -> str:
@@ -142,7 +131,7 @@ class PushServer:
     ) -> None:
         self.host = address.host or "127.0.0.1"
         self.port = address.port
-        self.open = not is_loopback(self.host)
+        self.open = not is_local(self.host)
         self.token = address.options.get("token", kept_token() if self.open else "")
         if (self.open or self.token) and len(self.token) < _TOKEN_LENGTH:
             raise InputError(str(address), "token", f"must have {_TOKEN_LENGTH} characters at least")
@@ -164,13 +153,11 @@ class PushServer:
         self._turn = asyncio.Lock()
         self._server: asyncio.Server | None = None
 
-    def url(self, host: str | None = None, path: str = "/") -> str:
-        """The address that a phone sends to; ``host`` is how it reaches this machine."""
-        shown = host or (self.host if self.host not in ("0.0.0.0", "::") else network_address())
-        if ":" in shown:
-            shown = f"[{shown}]"
+    def url(self, path: str = "/") -> str:
+        """The address that a phone sends to."""
+        host = network_address() if self.host in ("0.0.0.0", "::") else self.host
         token = f"?token={self.token}" if self.token else ""
-        return f"http://{shown}:{self.port}{path}{token}"
+        return f"http://{url_host(host)}:{self.port}{path}{token}"
 
     async def start(self) -> None:
         """Listen; InputError where the address cannot be had."""

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from suspension_twin.addons.roads.drives.drives import Part, road_from_drives
+from suspension_twin.addons.roads.drives.drives import DrivenPart, road_from_drives
 from suspension_twin.addons.roads.drives.estimate import STEP, RoadEstimateSettings
 from suspension_twin.addons.roads.drives.passes import banded, lags_along
 from suspension_twin.addons.roads.drives.transfer import best_linear_approximation
@@ -169,7 +169,7 @@ def test_the_linear_twin_is_the_twin_where_that_is_known(twin: Twin) -> None:
 def test_drives_that_do_not_fit_are_named(change: str, words: str, twin: Twin, truth: Road) -> None:
     first = driven(twin, truth, 9.0, 5)
     metre = 180.0 / np.pi / 6.37e6
-    other: Drive | Part = Part(first, 6.0, 9.0)
+    other: Drive | DrivenPart = DrivenPart(first, 6.0, 9.0)
     if change != "short":
         shift = 1.5 if change == "beside" else 500.0
         fix = replace(first.fix, latitude=first.fix.latitude + shift * metre)
