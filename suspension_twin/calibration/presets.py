@@ -18,7 +18,7 @@ from suspension_twin.inference.gauss_newton import GaussNewtonSettings
 from suspension_twin.inference.priors import TABLES, prior_of
 from suspension_twin.inference.space import CURVES, Space, bounds_of, curve_keys, is_fine
 from suspension_twin.models.parameters import Parameter, layout, twin_value
-from suspension_twin.models.parts import OPTIONAL_PARTS, has_part
+from suspension_twin.models.parts import LINKAGE, OPTIONAL_PARTS, has_part
 from suspension_twin.models.registry import model_of
 from suspension_twin.vehicle.tracked import BOUNDS
 from suspension_twin.vehicle.twin import EffectSpec, Twin
@@ -176,7 +176,7 @@ def refined(twin: Twin, kept: Sequence[str] = ()) -> Twin:
         at = np.append(at[at > 0.3 * static], max(static + _END, x[-1]))
         changes[f"{key}.compression"] = tuple(at.round(4).tolist())
         changes[f"{key}.force"] = tuple(_along(x, force, at.round(4)).round(2).tolist())
-    if twin.model == "full_car":
+    if twin.model in LINKAGE.models:
         for name in twin.axles:
             if not has_part(twin, f"vehicle.{name}.linkage"):
                 changes[f"vehicle.{name}.linkage"] = {}
