@@ -22,14 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
-from suspension_twin.inference.space import CURVES, Space, curve_keys
+from suspension_twin.inference.space import CURVES, FEW_POINTS, Space, curve_keys
 from suspension_twin.models.parameters import Parameter, twin_value
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["FEW_POINTS", "KNOTS", "SmoothSpace", "smooth_space"]
+__all__ = ["KNOTS", "SmoothSpace", "smooth_space"]
 
-#: Curves with at most so many points change point by point: the second smallest kernel is for eight points.
-FEW_POINTS: Final = 8
 #: As many as a curve of the car paper's Table 2 has points.
 KNOTS: Final = 4
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -317,6 +317,8 @@ class Space:
         return twin.with_changes(changes)
 
 
+#: Curves with at most so many points change point by point: the second smallest kernel is for eight points.
+FEW_POINTS: Final = 8
 #: So many points of a spring within so many m of the standing vehicle describe its rate there.
 FINE, NEAR = 4, 0.08
 
@@ -331,8 +333,8 @@ def _standing(twin: Twin, key: str, rows: tuple[int, ...]) -> tuple[float, float
     """Compression and load of a fine spring, all of whose points are free."""
     axle, _, part = key.removeprefix("vehicle.").rpartition(".")
     suspension = twin.axles.get(axle) if part == "spring" and min(rows) >= 0 else None
-    if suspension is None or not is_fine(suspension):
-        return None
+    if suspension is None or not is_fine(suspension) or len(rows) > FEW_POINTS:
+        return None  # the corners of a curve of many points are too small to be in the way
     return suspension.static_compression, suspension.load
 
 
