@@ -180,6 +180,8 @@ def refined(twin: Twin, kept: Sequence[str] = ()) -> Twin:
         for name in twin.axles:
             if not has_part(twin, f"vehicle.{name}.linkage"):
                 changes[f"vehicle.{name}.linkage"] = {}
+        if not has_part(twin, "vehicle.tyre.rolling_radius"):
+            changes["vehicle.tyre.rolling_radius"] = 0.0
     return twin.with_changes(changes) if changes else twin
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Optional parts of a car: tyre damping, contact patch, roll bars, friction, top mounts and links.
+"""Optional parts of a car: tyre damping, contact patch, rolling radius, roll bars, friction, top mounts and links.
 
 A part has optional keys in the twin file and acts through the :class:`~suspension_twin.models.hooks.Hook` of the effect
 of its kind, so that car and effect have one equation. Where a twin has both, the effect is the change beyond the part:
@@ -12,6 +12,10 @@ those of a rear wheel with ``-s M_y / (2 L)``; s is ``braking`` or ``driving``. 
 gravity. A wheel that moves back by ``r`` times its rise meets the road later: its ground is lower by
 ``r x slope`` at x m of compression, and the tyre's force N along the slope lifts the wheel with ``r N slope``. The
 static equilibrium of a fresh start is without these forces.
+
+A wheel is no point. A circle of radius R that rolls over a slope touches it ahead of or behind its centre, and its
+centre is higher by ``R (1 / cos(slope) - 1)``, about ``R slope² / 2``, than above a point; the tyre's force along the
+road's normal has the same part. ``rolling_radius`` is this R: 0 of a point, the tyre's radius of a rigid circle.
 """
 
 from __future__ import annotations
@@ -35,6 +39,7 @@ __all__ = ["LINKAGE", "OPTIONAL_PARTS", "Part", "has_part"]
 
 _FIELDS = Fields()
 _BRAKING, _DRIVING, _RECESSION, _ROLL_CENTER = (_FIELDS.add(AXLE) for _ in range(4))
+_ROLLING = _FIELDS.add()
 #: Below this speed in m/s the slope of the road is that which a wheel would meet at this speed.
 _SLOW: Final = 1.0
 
@@ -49,6 +54,7 @@ def _links(w: Floats, e: int, c: int, i: int, h: float) -> None:
     per_height = mx / (w[rows.HEIGHT * WIDTH + i] * (ahead - behind))
     speed = w[rows.SPEED * WIDTH + i]
     per_speed = 1.0 / (speed if speed > _SLOW else _SLOW)
+    rise = 0.5 * w[(e + _ROLLING) * WIDTH + i] * w[rows.TYRE * WIDTH + i]
     for a in range(2):
         braking, driving = w[(e + _BRAKING + a) * WIDTH + i], w[(e + _DRIVING + a) * WIDTH + i]
         pitch = (braking if my > 0.0 else driving) * per_base
@@ -59,8 +65,9 @@ def _links(w: Floats, e: int, c: int, i: int, h: float) -> None:
         recession = w[(e + _RECESSION + a) * WIDTH + i]
         for side in range(2):
             corner = 2 * a + side
-            back = recession * per_speed * w[(rows.ROAD_RATE + corner) * WIDTH + i]
-            ground = w[(rows.GROUND + corner) * WIDTH + i]
+            slope = per_speed * w[(rows.ROAD_RATE + corner) * WIDTH + i]
+            back = recession * slope
+            ground = w[(rows.GROUND + corner) * WIDTH + i] + rise * slope * slope
             lower = back * travel(w, corner, i) * w[rows.TYRE * WIDTH + i]
             force = pitch - roll if side == 0 else pitch + roll
             force -= back * (ground if ground > 0.0 else 0.0)
@@ -77,14 +84,18 @@ def _constants(p: Values) -> dict[int, Floats | float]:
         _DRIVING: both("driving"),
         _RECESSION: both("recession"),
         _ROLL_CENTER: both("roll_center"),
+        _ROLLING: p["rolling_radius"],
     }
 
 
-_NAMES = tuple(
-    f"{axle}_{name}" for axle in AXLES for name in ("braking", "driving", "recession", "roll_center")
-)
+_OF_AXLES = {
+    f"{axle}_{name}": f"vehicle.{axle}.linkage.{name}"
+    for axle in AXLES
+    for name in ("braking", "driving", "recession", "roll_center")
+}
+_NAMES = (*_OF_AXLES, "rolling_radius")
 
-#: The links of both axles.
+#: The links of both axles, and wheels that roll over an edge.
 LINKAGE: Final = Hook(
     kernel=KernelTerms(_FIELDS, _constants, {"strut": (_links, LANE)}),
     neutral=dict.fromkeys(_NAMES, 0.0),
@@ -131,14 +142,7 @@ OPTIONAL_PARTS: Final[Mapping[str, Part]] = {
         _of_axles("strut_friction", "force", "friction"),
         _of_axles("top_mount", "stiffness", "top_mount"),
         _of_axles("anti_roll_bar", "stiffness", "anti_roll_bar"),
-        Part(
-            "linkage",
-            {
-                f"{axle}_{name}": f"vehicle.{axle}.linkage.{name}"
-                for axle in AXLES
-                for name in ("braking", "driving", "recession", "roll_center")
-            },
-        ),
+        Part("linkage", {**_OF_AXLES, "rolling_radius": "vehicle.tyre.rolling_radius"}),
         Part("tyre_damping", {"damping": "vehicle.tyre.damping"}),
         Part("tyre_envelope", {"length": "vehicle.tyre.contact_length"}),
     )

@@ -208,12 +208,14 @@ class Suspension:
 
 
 class Tyre(Strict):
-    """The tyres, all alike; ``damping`` N s/m and ``contact_length`` m of the contact patch are optional."""
+    """The tyres, all alike. ``damping`` N s/m, ``contact_length`` m of the contact patch and ``rolling_radius`` m, with
+    which they roll over an edge, are optional."""
 
     radius: Radius
     vertical_stiffness: TyreStiffness
     damping: TyreDamping | None = None
     contact_length: ContactLength | None = None
+    rolling_radius: ContactLength | None = None
 
 
 class SprungInertia(Strict):

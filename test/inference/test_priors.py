@@ -24,6 +24,7 @@ OPTIONAL = tuple(key for part in OPTIONAL_PARTS.values() for key in part.keys.va
 PARTS = {
     "vehicle.tyre.damping",
     "vehicle.tyre.contact_length",
+    "vehicle.tyre.rolling_radius",
     *(f"vehicle.{axle}.friction" for axle in AXLES),
     *(f"vehicle.{axle}.linkage.{name}" for axle in AXLES for name in Linkage.model_fields),
 }

@@ -137,6 +137,18 @@ def test_a_wheel_that_moves_back_is_lifted_on_a_climb(mondeo: Any, drive: Any, g
     assert r.deflection[-1] - plain.deflection[-1] == pytest.approx(more, rel=0.05)
 
 
+def test_a_circle_rolls_higher_over_a_slope_than_a_point(mondeo: Any, drive: Any, ground: Any) -> None:
+    """On a slope of 10 % by R slope² / 2, wheels and body alike; on the level not at all."""
+    twin = with_linear(mondeo, k=K)
+    rolling = twin.with_changes({"vehicle.tyre.rolling_radius": 0.3})
+    way = drive(seconds=8.0, speed=10.0)
+    slope = ground(lambda x, y: 0.1 * np.clip(x - 10.0, 0.0, None))
+    plain, r = (simulate_twin(t, excitation(way, t.vehicle, slope)) for t in (twin, rolling))
+    assert r.wheel_z[-1] - plain.wheel_z[-1] == pytest.approx(0.3 * 0.1**2 / 2, rel=0.01)
+    assert r.heave[-1] - plain.heave[-1] == pytest.approx(0.3 * 0.1**2 / 2, rel=0.01)
+    assert r.heave[50] == pytest.approx(plain.heave[50], abs=1e-9)
+
+
 def test_links_balance_the_weight(mondeo: Any, drive: Any, rough: Any) -> None:
     """Forces of links are internal: over a long drive the tyres carry the weight, whatever they are."""
     links = {"braking": 0.5, "driving": 0.5, "recession": 0.1, "roll_center": 0.1}
