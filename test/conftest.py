@@ -47,11 +47,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Without --long those marked so are left out, unless a test or a file was asked for by its name."""
-    named = any(argument.partition("::")[0].endswith(".py") for argument in config.args)
-    if not (config.getoption("--long") or named):
-        left_out = [item for item in items if item.get_closest_marker("long")]
-        items[:] = [item for item in items if not item.get_closest_marker("long")]
+    """Without --long those marked so are left out, and those marked longest always, unless a test or a file was asked
+    for by its name."""
+    if any(argument.partition("::")[0].endswith(".py") for argument in config.args):
+        return
+    for mark in ("longest",) if config.getoption("--long") else ("long", "longest"):
+        left_out = [item for item in items if item.get_closest_marker(mark)]
+        items[:] = [item for item in items if not item.get_closest_marker(mark)]
         config.hook.pytest_deselected(items=left_out)
 
 

@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -69,6 +70,28 @@ ARGUMENTS = {
 }
 #: Those that take a few seconds.
 SHORT = {"fuzz", "iio_qemu", "mcap_core", "peak", "unity"}
+#: Those that take about a minute each even at that size: run when this file is named.
+LONGEST = {
+    "blind",
+    "calibration",
+    "diagnosis",
+    "discrepancy",
+    "fleet",
+    "measured",
+    "multibody",
+    "mutation",
+    "paper",
+    "plan_confusion",
+    "road_changes",
+    "road_from_drives",
+    "road_real_drives",
+    "seeded",
+    "torture",
+    "tracked_blind",
+    "tracked_paper",
+    "tracked_runs",
+    "withheld",
+}
 
 
 def test_every_program_is_run(repository: Path) -> None:
@@ -78,9 +101,12 @@ def test_every_program_is_run(repository: Path) -> None:
     assert programs == TABLES.keys()
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=() if n in SHORT else pytest.mark.long) for n in TABLES]
-)
+def marked(name: str) -> Any:
+    kind = pytest.mark.longest if name in LONGEST else pytest.mark.long
+    return pytest.param(name, marks=() if name in SHORT else kind)
+
+
+@pytest.mark.parametrize("name", map(marked, TABLES))
 def test_it_runs_to_its_end(name: str, repository: Path, tmp_path: Path) -> None:
     """Exit status 2 and one line say what is not on this machine."""
     arguments = ARGUMENTS.get(name, "").format(out=tmp_path / "out").split()
