@@ -159,6 +159,7 @@ def _run(
                     for i in range(WIDTH):
                         w[rows.SPEED * WIDTH + i] = speed
                         w[rows.YAW_RATE * WIDTH + i] = turn
+                        w[rows.SHARE * WIDTH + i] = share
                         move(w, i, h)
                         strut_forces(w, i, c0, c1, c2, c3, _SPRING_HINGES)
                         r0, r1, r2, r3 = four(w, rows.ROAD, i)
@@ -246,6 +247,7 @@ def _advance(
             w[(rows.ROAD + c) * WIDTH] = z
         w[rows.SPEED * WIDTH] = motion0[4] + (share - 0.5 / n) * (motion1[4] - motion0[4])
         w[rows.YAW_RATE * WIDTH] = yaw_rate(motion0[2], motion1[2], share)
+        w[rows.SHARE * WIDTH] = share
         move(w, 0, h)
         strut_forces(w, 0, c0, c1, c2, c3, _SPRING_HINGES)
         r0, r1, r2, r3 = four(w, rows.ROAD, 0)

@@ -31,7 +31,7 @@ from suspension_twin.compiled import inlined
 from suspension_twin.models import rows
 from suspension_twin.models.corner import travel
 from suspension_twin.models.hooks import Hook, KernelTerms, Values, load_hook
-from suspension_twin.models.rows import AXLE, LANE, WIDTH, Fields
+from suspension_twin.models.rows import AXLE, LANE, WIDTH, Fields, fma
 from suspension_twin.vehicle.corners import AXLES
 from suspension_twin.vehicle.twin import Twin
 
@@ -47,8 +47,9 @@ _SLOW: Final = 1.0
 @inlined
 def _links(w: Floats, e: int, c: int, i: int, h: float) -> None:
     """Forces of the links of all four wheels; ``c`` is 0."""
-    mx = w[rows.MOMENT * WIDTH + i] + 0.5 * w[(rows.MOMENT + 2) * WIDTH + i]
-    my = w[(rows.MOMENT + 1) * WIDTH + i] + 0.5 * w[(rows.MOMENT + 3) * WIDTH + i]
+    passed = w[rows.SHARE * WIDTH + i]
+    mx = fma(passed, w[(rows.MOMENT + 2) * WIDTH + i], w[rows.MOMENT * WIDTH + i])
+    my = fma(passed, w[(rows.MOMENT + 3) * WIDTH + i], w[(rows.MOMENT + 1) * WIDTH + i])
     ahead, behind = w[rows.ARM_X * WIDTH + i], w[(rows.ARM_X + 1) * WIDTH + i]
     per_base = 0.5 * my / (ahead - behind)
     per_height = mx / (w[rows.HEIGHT * WIDTH + i] * (ahead - behind))

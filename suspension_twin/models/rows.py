@@ -114,6 +114,7 @@ ROAD = _core.add(CORNER)  # height under each wheel at this step, m
 ROAD_RATE = _core.add(CORNER)  # and how fast it rises, m/s
 SPEED = _core.add()  # forward speed in the middle of this step, m/s, in blocks with effects
 YAW_RATE = _core.add()  # and yaw rate at its end, rad/s
+SHARE = _core.add()  # share of the interval that has passed then
 ACTUATOR = _core.add()  # at a fresh start: force of an actuator in every strut, N
 
 # -- constants of a lane

@@ -15,6 +15,7 @@ from typing import Final
 from suspension_twin.addons.export.registry import ExportSettings, Target
 from suspension_twin.errors import InputError, printable
 from suspension_twin.files import read_bytes, write_text
+from suspension_twin.models.parameters import layout
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["TARGET"]
@@ -77,8 +78,8 @@ def _write(twin: Twin, path: Path, settings: ExportSettings) -> Sequence[str]:
         "Forces are those at the wheel, which is right for a kinematics with a ratio of 1 between wheel and strut. A "
         "spring's compression counts from its free length, which CarMaker has as Spring.l0."
     ]
-    effects = ", ".join(effect.id for effect in twin.effects)
-    return [*notes, f"Not in the tables: {effects}"] if effects else notes
+    others = ", ".join(layout(twin).hooks)
+    return [*notes, f"Not in the tables: {others}"] if others else notes
 
 
 TARGET = Target("look-up tables for a vehicle file of CarMaker", (), _write, ("into",))

@@ -526,8 +526,7 @@ def _logs(series: Sequence[Point]) -> Floats:
 
 
 def _range(all_series: Sequence[Sequence[Point]]) -> float:
-    values = [np.abs(_logs(s)[:, 1]) for s in all_series if s]
-    most = float(np.concatenate(values).max()) if values else 0.0
+    most = max((float(np.abs(_logs(s)[:, 1]).max(initial=0.0)) for s in all_series if s), default=0.0)
     return max(1.1 * most, math.log1p(_LEAST_RANGE))
 
 

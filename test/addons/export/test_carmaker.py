@@ -88,10 +88,12 @@ def test_what_is_no_vehicle_file(mondeo: Twin, tmp_path: Path) -> None:
 
 
 def test_effects_and_other_vehicles(mondeo: Twin, repository: Path, tmp_path: Path) -> None:
-    spec = {"id": "worn_dampers", "parameters": {"front": -0.2}}
+    spec = {"id": "worn_dampers", "parameters": {"front": 0.2}}
     assert (
         "worn_dampers"
         in export_twin(mondeo.with_changes({"effects": [spec]}), "carmaker", tmp_path / "C")[-1]
     )
+    linked = mondeo.with_changes({"vehicle.rear.linkage": {"driving": 0.5}, "vehicle.tyre.damping": 50.0})
+    assert export_twin(linked, "carmaker", tmp_path / "P")[-1] == "Not in the tables: linkage, tyre_damping"
     with pytest.raises(InputError, match="tracked has no front and rear axle"):
         export_twin(load_twin(repository / "config/tracked/pt91.yaml"), "carmaker", tmp_path / "D")

@@ -101,6 +101,23 @@ def test_every_effect_of_the_kernel_is_in_it(mondeo: Twin, bump: Excitation, wri
         assert changed[:20].min() > (1e-3 if len(kept) > 1 else 1e-4)
 
 
+def test_optional_parts_are_in_it(mondeo: Twin, bump: Excitation, written: Written) -> None:
+    twin = mondeo.with_changes(
+        {
+            "vehicle.front.linkage": {"braking": 0.3, "recession": 0.1, "roll_center": 0.05},
+            "vehicle.rear.linkage": {"braking": 0.5, "driving": 0.4},
+            "vehicle.tyre.rolling_radius": 0.3,
+            "vehicle.tyre.damping": 60.0,
+            "vehicle.front.anti_roll_bar": 6e3,
+            "vehicle.rear.friction": 25.0,
+            "vehicle.rear.top_mount": 3e5,
+        }
+    )
+    wanted = columns(simulate_twin(twin, bump))
+    assert deviation(walk_2(written(twin), bump), wanted).max() < 1e-9
+    assert deviation(columns(simulate_twin(mondeo, bump)), wanted)[:20].min() > 1e-4
+
+
 def test_the_model_msd(mondeo: Twin, bump: Excitation, written: Written) -> None:
     spec = {"id": "unsprung_mass", "parameters": {"mass": 30.0}}
     for effects in ([], [spec]):

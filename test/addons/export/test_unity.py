@@ -61,6 +61,12 @@ SEEN = [0, 2, 26, 23, 9, 18, 7]  # of the outputs, in the order of the program
 def test_the_class_is_the_twin(model: str, mondeo: Twin, tmp_path: Path) -> None:
     specs = {"msd": [], "full_car": [{"id": "strut_friction", "parameters": {"front_force": 90.0}}]}[model]
     twin = parse_twin({**mondeo.model_dump(), "model": model, "effects": specs})
+    if model == "full_car":
+        links = {
+            "vehicle.front.linkage": {"braking": 0.3, "recession": 0.1},
+            "vehicle.tyre.rolling_radius": 0.3,
+        }
+        twin = twin.with_changes(links)
     road = bump_road(half_sine(0.9, 0.05), at=6.0, length=40.0)
     path = path_along(road, np.arange(0.0, 2.0, 0.01), ((0.0, 7.0), (1.0, 6.0), (2.0, 3.0)), 2.0)
     driven = excitation(path, twin.vehicle, road)

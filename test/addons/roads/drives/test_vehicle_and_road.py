@@ -83,9 +83,10 @@ def test_a_wrong_vehicle_is_put_right_by_drives_over_an_unknown_road(
     assert vehicle is not None
     z = (vehicle.values + wrong) / vehicle.sigma
     assert np.abs(z).max() < 3.0
+    spreads = np.array([p.prior.spread for p in PARAMETERS.values()])
     dampers = [NAMES.index(f"{axle} dampers") for axle in ("front", "rear")]
     assert np.abs(vehicle.values[dampers] + wrong[dampers]).max() < 0.2
-    assert (vehicle.sigma < 1.001 * vehicle.prior).all() and (vehicle.sigma[dampers] < 0.15).all()
+    assert (vehicle.sigma < 1.001 * spreads).all() and (vehicle.sigma[dampers] < 0.15).all()
     # The uncertainty of the vehicle is in that of the road.
     assert 0.0 < vehicle.amplitude < 0.1
     # The twin that comes out makes the drive on the road that comes out.
@@ -96,7 +97,7 @@ def test_a_wrong_vehicle_is_put_right_by_drives_over_an_unknown_road(
 
 def test_a_common_factor_shows_on_no_road(twin: Twin, truth: Road, drives: list[Drive]) -> None:
     """Which is why the mass is taken from the twin file."""
-    factor = np.array([math.log(1.2) if p.log else 0.0 for p in PARAMETERS.values()])
+    factor = np.array([math.log(1.2) if p.prior.log else 0.0 for p in PARAMETERS.values()])
     heavier = scaled_twin(twin, factor).with_changes({"vehicle.mass": 1.2 * twin.vehicle.mass})
     motions = [simulate_drive(drives[1], t, truth).response.vertical_acceleration for t in (twin, heavier)]
     assert np.std(motions[0]) > 0.3
