@@ -78,7 +78,7 @@ def modules_after(code: str) -> set[str]:
 
 
 def test_importing_the_package_imports_nothing_else() -> None:
-    plain = modules_after("import typing, importlib")
+    plain = modules_after("import __future__, typing, importlib")
     named = modules_after("import suspension_twin as st; dir(st); st.__version__") - plain
     assert named == {"suspension_twin"}
     reading = modules_after("import suspension_twin as st; st.read_drive('bags/crg_road')")
