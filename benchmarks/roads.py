@@ -166,10 +166,10 @@ def show(result: dict[str, Any]) -> None:
         )
     console.print(table)
     table = Table(title="One call for four wheels, µs")
-    for column in ("road", "call", "median", "best"):
-        table.add_column(column, justify="left" if column in ("road", "call") else "right")
+    for column in ("road", "median", "best"):
+        table.add_column(column, justify="left" if column == "road" else "right")
     for row in result["live"]:
-        table.add_row(row["road"], row["call"], f"{row['us']:.1f}", f"{row['us_best']:.1f}")
+        table.add_row(row["road"], f"{row['us']:.1f}", f"{row['us_best']:.1f}")
     console.print(table)
     table = Table(title="Other work, s", show_header=False)
     for name, value in result["other"].items():
