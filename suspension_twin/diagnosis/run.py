@@ -20,7 +20,6 @@ from pathlib import Path
 
 from suspension_twin.diagnosis import wording
 from suspension_twin.diagnosis.case import Case, baseline, build, read_case
-from suspension_twin.diagnosis.coarse_search import NO_MATCH
 from suspension_twin.diagnosis.conclude import conclude
 from suspension_twin.diagnosis.decision import Costs
 from suspension_twin.diagnosis.judge import Judged, judge, with_joint_noise
@@ -36,9 +35,9 @@ from suspension_twin.vehicle.twin import load_twin
 
 __all__ = ["diagnose"]
 
-#: Residual on reference drives as a share of its motion, of a vehicle without any error at most. Where it is that of
-#: signals that do not match, the reference is of another vehicle or set-up.
-_SOUND = 0.17
+#: Residual on reference drives as a share of its motion: of a vehicle without any error at most, and from which on the
+#: reference is of another vehicle or set-up.
+_SOUND, _OTHER_VEHICLE = 0.17, 0.6
 
 
 def diagnose(
@@ -84,12 +83,12 @@ def diagnose(
     with one_blas_thread():
         case, judged = _judged(request, report, stop)
         level = judged.reference
-        if level is not None and level >= NO_MATCH and not case.excited:
+        if level is not None and level >= _OTHER_VEHICLE and not case.excited:
             # a receiver's noise may be as large as the motion; what is new since the reference shows all the same
             case = replace(case, warnings=(*case.warnings, f"{_references(case)}: {_missed(level)}"))
         if level is None or level < _SOUND or not case.excited:
             return conclude(request, case, judged, time.monotonic() - began)
-        found = conclude(request, case, judged, time.monotonic() - began) if level < NO_MATCH else None
+        found = conclude(request, case, judged, time.monotonic() - began) if level < _OTHER_VEHICLE else None
         if found is not None and found.document["verdict"] != "no_gap":
             return found
         alike = _before_and_after(request, report, stop, began) if case.road else None
