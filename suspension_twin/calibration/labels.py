@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from suspension_twin.effects.registry import effect
+from suspension_twin.inference.priors import prior_of
 from suspension_twin.models.parameters import twin_value
 from suspension_twin.vehicle.twin import Twin
 
@@ -71,5 +72,7 @@ def parameter_unit(key: str) -> str:
         return ""
     if parts[0] == "effects":
         return effect(parts[1]).parameter(parts[2]).unit
+    if (prior := prior_of(key)) is not None:
+        return prior.unit
     named = "." + ".".join(part for part in parts if not part.isdigit())
     return next((unit for end, unit in _UNITS.items() if named.endswith(f".{end}")), "m")

@@ -10,9 +10,12 @@ from matplotlib.figure import Figure
 from scipy.ndimage import uniform_filter1d
 
 from suspension_twin.arrays import Floats
+from suspension_twin.calibration.labels import parameter_unit
+from suspension_twin.calibration.presets import PART_KEYS
 from suspension_twin.demo.steps import DRIVES, LEARNT, UNSEEN, DemoResult, Outcome
 from suspension_twin.inference.observation import observe
 from suspension_twin.models.parameters import twin_value
+from suspension_twin.models.parts import has_part
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.pose.local_map import LocalMap
 from suspension_twin.report import Cell, Page, Section, Table, plots
@@ -259,16 +262,8 @@ def _calibration(result: DemoResult, convergence: Figure | None) -> Section:
     answer = result.calibration
     rows: list[list[object]] = []
     for key, value in answer.values.items():
-        _, axle, curve, name, index = (*key.split("."), "", "", "", "")[:5]
-        started = float(twin_value(result.twins["before"], key))
-        if name == "force":
-            mine, true = (getattr(getattr(result.twins[w].vehicle, axle), curve) for w in ("before", "truth"))
-            x = mine.points[0][int(index)]
-            truth = float(force(true.points, np.array([x]))[0])
-            label = f"{axle} {curve.replace('_', ', ')}, {x:g} {'m' if curve == 'spring' else 'm/s'} [N]"
-        else:
-            truth = float(twin_value(result.twins["truth"], key))
-            label = key.removeprefix("vehicle.").replace("_", " ").replace(".", " ") + " [kg m²]"
+        label, started, truth = _beside(result, key)
+        off = f"{round(100 * (value / truth - 1)):+d} %".replace("-", "−") if truth else "–"
         mark = _IDENTIFIED if answer.excited.get(key, True) else _NOT_IDENTIFIED
         rows.append(
             [
@@ -276,7 +271,7 @@ def _calibration(result: DemoResult, convergence: Figure | None) -> Section:
                 started,
                 value,
                 truth,
-                f"{round(100 * (value / truth - 1)):+d} %".replace("-", "−"),
+                off,
                 mark,
             ]
         )
@@ -290,6 +285,32 @@ def _calibration(result: DemoResult, convergence: Figure | None) -> Section:
     return Section(
         "The calibration", text, convergence, Table(columns, rows, "Forces at the wheel, for one wheel.")
     )
+
+
+def _beside(result: DemoResult, key: str) -> tuple[str, float, float]:
+    """Label of a calibrated number, and what it was at the start and is in truth.
+
+    The points of a characteristic are those of the calibrated twin; a spring's count from where the car stands.
+    """
+    found, others = result.twins["simulated"], (result.twins["before"], result.twins["truth"])
+    curve, _, index = key.rpartition(".force.")
+    if not curve:
+        unit = parameter_unit(key)
+        label = key.removeprefix("vehicle.").replace("_", " ").replace(".", " ")
+        started, truth = (
+            0.0 if key in PART_KEYS and not has_part(t, key) else float(twin_value(t, key)) for t in others
+        )
+        return f"{label} [{unit}]" if unit else label, started, truth
+    axle, part = curve.removeprefix("vehicle.").split(".")
+    x = float(twin_value(found, curve).points[0][int(index)])
+    spring = part == "spring"
+    rest = [t.axles[axle].static_compression if spring else 0.0 for t in (found, *others)]
+    started, truth = (
+        float(force(twin_value(t, curve).points, np.array([x - rest[0] + own]))[0])
+        for t, own in zip(others, rest[1:], strict=True)
+    )
+    where = f"{x - rest[0]:+.2f} m from rest".replace("-", "−") if spring else f"{x:g} m/s"
+    return f"{axle} {part.replace('_', ', ')}, {where} [N]", started, truth
 
 
 def _explain() -> str:

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from suspension_twin.calibration.labels import parameter_unit
 from suspension_twin.calibration.presets import PRESETS, build_space, refined
 from suspension_twin.calibration.request import CalibrationRequest
 from suspension_twin.calibration.run import calibrate
@@ -84,6 +85,15 @@ def test_neighbours_of_a_fine_spring_change_together(mondeo: Twin) -> None:
     x = fine.curves[0].x
     assert correlation(fine, 0, 5) == pytest.approx(0.8 ** ((x[5] - x[0]) / 0.2))
     assert np.linalg.eigvalsh(fine.prior_covariance(0.8)).min() > 0
+
+
+def test_parts_have_their_units() -> None:
+    units = {
+        "vehicle.front.linkage.braking": "",
+        "vehicle.tyre.rolling_radius": "m",
+        "vehicle.tyre.damping": "N s/m",
+    }
+    assert {key: parameter_unit(key) for key in units} == units
 
 
 def test_the_papers_preset_and_named_numbers_stay_as_they_are(rough_case: Any) -> None:

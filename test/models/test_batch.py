@@ -248,7 +248,7 @@ t = np.arange(10) / 100
 z = np.zeros_like(t)
 twin = load_twin(sys.argv[1])
 simulate_twin(twin, excitation(Trajectory(t, t, z, z, z, z, z, z, z, z == 0), twin.vehicle, Flat()))
-stats = full_car.KERNELS[3].stats
+stats = full_car.KERNELS[3, 3].stats
 print(json.dumps([sum(stats.cache_hits.values()), sum(stats.cache_misses.values())]))
 """
 

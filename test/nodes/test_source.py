@@ -122,8 +122,8 @@ def test_a_phone_that_sends_to_the_command_is_heard_on_the_topic(alone, bench, d
         process = start(
             [
                 sys.executable,
-                "-m",
-                "suspension_twin.addons.nodes.source",
+                "-c",
+                "from suspension_twin.addons.nodes.source import SourceNode; SourceNode.main()",
                 "--ros-args",
                 "-p",
                 f"sources:={url}",
