@@ -22,7 +22,7 @@ from suspension_twin.models.car import (
 from suspension_twin.models.excitation import MOTION
 from suspension_twin.models.hooks import ClockChange, CornerChange, RoadChange, SignalStage, Values
 from suspension_twin.models.parameters import ParameterLayout
-from suspension_twin.models.rows import Hinges
+from suspension_twin.models.rows import LINKS_ALONE, Hinges
 from suspension_twin.models.types import Excitation, Ints
 
 __all__ = ["Conditions", "Constants", "Outside", "constants", "outside"]
@@ -104,7 +104,7 @@ def constants(params: Floats, layout: ParameterLayout, conditions: Conditions) -
     values, flags, road = kernel.block(candidates, change.road, conditions.antenna, conditions.actuated)
     known = replace(change, road=road).outside(problems, layout)
     if flags is not None:
-        flags[problems.lanes] = 0
+        flags[problems.lanes] &= LINKS_ALONE
     return Constants(**vars(known), kernel=kernel, values=values, flags=flags, hinges=hinges_of(curves))
 
 

@@ -48,7 +48,7 @@ from suspension_twin.models.equilibrium import stand, stand_with
 from suspension_twin.models.full_car import KERNELS, block_rows, moments, open_lanes, record, watch, yaw_rate
 from suspension_twin.models.hooks import KernelTerms, RoadChange, Stage
 from suspension_twin.models.parts import LINKAGE
-from suspension_twin.models.rows import KERNEL_HINGES, WIDTH, Hinges, constants_for, four, put
+from suspension_twin.models.rows import KERNEL_HINGES, LINKS_ALONE, WIDTH, Hinges, constants_for, four, put
 from suspension_twin.models.sensor import sense
 from suspension_twin.models.types import Ints
 from suspension_twin.units import STANDARD_GRAVITY as G
@@ -343,11 +343,13 @@ class EffectKernels:
 
 
 @cache
-def effect_kernels() -> EffectKernels:
-    """The kernel with the effects of the registry, compiled when it is first run."""
+def effect_kernels(links_alone: bool = False) -> EffectKernels:
+    """The kernel with links and the effects of the registry, or with ``links_alone``, compiled when it is first run."""
     from suspension_twin.effects.registry import EFFECTS  # whose files import models.hooks
 
-    hooks = {"linkage": LINKAGE, **{name: effect.hook for name, effect in EFFECTS.items()}}
+    hooks, suffix = {"linkage": LINKAGE}, "_links" if links_alone else ""
+    if not links_alone:
+        hooks |= {name: effect.hook for name, effect in EFFECTS.items()}
     terms = {name: hook.kernel for name, hook in hooks.items() if hook.kernel is not None}
     first, bit, end = {}, {}, rows.CURVES
     stages: dict[str, list[str]] = {stage: [] for stage in get_args(Stage)}
@@ -378,11 +380,14 @@ def effect_kernels() -> EffectKernels:
             flags[stage] |= bit[name]
             stages[stage].append(f"    if flag & {bit[name]}:\n{source}")
     elastic = _made(
-        "elastic", "w: Floats, i: int, travel: Floats, force: Floats, stiffness: Floats", static, names
+        f"elastic{suffix}",
+        "w: Floats, i: int, travel: Floats, force: Floats, stiffness: Floats",
+        static,
+        names,
     )
-    standing = stand_with(_made("restart", "w: Floats, lane: int", restart, names), elastic)
+    standing = stand_with(_made(f"restart{suffix}", "w: Floats, lane: int", restart, names), elastic)
     parts: dict[str, object] = {
-        f"_{stage.upper()}": _made(f"{stage}_of", "w: Floats, flag: int, h: float", lines, names)
+        f"_{stage.upper()}": _made(f"{stage}_of{suffix}", "w: Floats, flag: int, h: float", lines, names)
         for stage, lines in stages.items()
     }
     parts |= {f"_{stage.upper()}_OF": own for stage, own in flags.items()}
@@ -392,7 +397,7 @@ def effect_kernels() -> EffectKernels:
         hinges: compiled(
             specialised(
                 _run,
-                f"_run_{hinges.spring}_{hinges.damper}",
+                f"_run_{hinges.spring}_{hinges.damper}" + suffix,
                 **constants_for(hinges),
                 **parts,
             ),
@@ -431,7 +436,10 @@ def constants_of(given: Candidates, road: RoadChange, antenna: float, actuated: 
 
 def one_lane(flag: int) -> LaneFunctions:
     """A lane by itself, see ``car.CarKernel``."""
-    return (_start, _advance, _read), {**effect_kernels().parts, "_FLAG": flag}
+    return (_start, _advance, _read), {
+        **effect_kernels(bool(flag & LINKS_ALONE)).parts,
+        "_FLAG": flag & ~LINKS_ALONE,
+    }
 
 
 def walk(
@@ -441,15 +449,18 @@ def walk(
     if flags is None:
         KERNELS[hinges](blocks, road, *walk)
     else:
-        effect_kernels().kernels[hinges](blocks, flags, road, candidate_road, *walk)
+        kernels = effect_kernels(bool(flags[0] & LINKS_ALONE)).kernels
+        kernels[hinges](blocks, flags, road, candidate_road, *walk)
 
 
 def _with_effects(base: Floats, given: Candidates) -> tuple[Floats, Ints]:
     """Rows of a block with effects (rows, L) from those without (block_rows, L), and the flags (L,) of the lanes."""
-    kernels, hinges, corners = effect_kernels(), hinges_of(given.characteristics), given.corners
+    alone = all(name == "linkage" or not armed.any() for name, (_, armed) in given.effects.items())
+    kernels, hinges, corners = effect_kernels(alone), hinges_of(given.characteristics), given.corners
     max_step, check = given.max_step, given.problems.check
     count = base.shape[1]
-    out, flags = np.zeros((kernels.rows(hinges), count)), np.zeros(count, dtype=np.int64)
+    out = np.zeros((kernels.rows(hinges), count))
+    flags = np.full(count, LINKS_ALONE if alone else 0, dtype=np.int64)
     stride = rows.axle_rows(hinges)
     first, master = kernels.curves, kernels.curves + 4 * stride
     out[: rows.CURVES] = base[: rows.CURVES]
@@ -478,6 +489,8 @@ def _with_effects(base: Floats, given: Candidates) -> tuple[Floats, Ints]:
         finite = np.isfinite(np.concatenate(parts)).all(axis=0)
         check(~(corners.tyre > -1.0).all(axis=0), "effects", "leave a tyre no stiffness")
         for name, (values, armed) in given.effects.items():
+            if name not in kernels.terms:  # no lane has it
+                continue
             terms, e = kernels.terms[name], kernels.first[name]
             flags[armed] |= kernels.bit[name]
             for field, value in terms.constants(values).items():

@@ -35,6 +35,7 @@ __all__ = [
     "HINGES",
     "KERNEL_HINGES",
     "LANE",
+    "LINKS_ALONE",
     "STATES",
     "STRETCH",
     "WIDTH",
@@ -171,6 +172,8 @@ class Hinges(NamedTuple):
     damper: int
 
 
+#: Bit of the flags of a block for the kernel that has links alone, which is compiled in a fraction of the time.
+LINKS_ALONE: Final = 1 << 62
 #: The pairs that there are kernels for.
 KERNEL_HINGES: Final = tuple(Hinges(*pair) for pair in product(HINGES, HINGES))
 
