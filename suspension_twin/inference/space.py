@@ -319,7 +319,8 @@ class Space:
 
 #: Curves with at most so many points change point by point: the second smallest kernel is for eight points.
 FEW_POINTS: Final = 8
-#: So many points of a spring within so many m of the standing vehicle describe its rate there.
+#: So many points of a spring within so many m of the standing vehicle describe its rate there: a prior. Three segments
+#: give a rate, its rise and its bend; bumps move a multibody car's wheels by up to 9 cm (docs/models.md).
 FINE, NEAR = 4, 0.08
 
 
