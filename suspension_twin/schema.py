@@ -27,7 +27,8 @@ def within(low: float, high: float, unit: str, hint: str = "") -> AfterValidator
     def check(value: float) -> float:
         if not (math.isfinite(value) and low <= value <= high):
             tail = f" ({hint})" if hint else ""
-            raise ValueError(f"must lie between {low:g} and {high:g} {unit}, is {value:g}{tail}")
+            limits = f"between {low:g} and {high:g} {unit}".rstrip()
+            raise ValueError(f"must lie {limits}, is {value:g}{tail}")
         return value
 
     return AfterValidator(check)
