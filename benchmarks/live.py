@@ -44,6 +44,8 @@ BAR = 2.0
 RATES = (100, 1000)
 ANSWERS = {"relay": "relayed", "twin": "twin/vertical_acceleration"}
 SPEED = 10.0
+#: s after which a system that never answers is measured all the same.
+LONGEST_WARM_UP = 30.0
 QUIET = ["--ros-args", "--log-level", "error"]
 
 
@@ -133,15 +135,18 @@ class Driver:
 
     def drive(self, rate: float, warm_up: float, seconds: float) -> None:
         """Drive for so long; ``sent`` and ``answered`` hold what happened since the warm-up, in which
-        nodes are discovered and the rate is learnt."""
+        nodes are discovered and the rate is learnt: it lasts until the first answer, at most a minute."""
         while not self.out.get_subscription_count():
             self.executor.spin_once(timeout_sec=0.05)
-        warm, total = int(warm_up * rate), int((warm_up + seconds) * rate)
+        warm, count = int(warm_up * rate), int(seconds * rate)
+        longest = warm + int(LONGEST_WARM_UP * rate)
         began, stamp = time.perf_counter(), time.time_ns()
         self.began = self.began or stamp
-        noise = np.random.default_rng(0).normal(0.0, 0.05, (total, 3)).tolist()
+        noise = np.random.default_rng(0).normal(0.0, 0.05, (warm + count, 3)).tolist()
         self.sent.clear()
-        for k in range(total):
+        self.answered.clear()
+        k = 0
+        while len(self.sent) < count:
             due = began + k / rate
             while (left := due - time.perf_counter()) > 0:
                 self.executor.spin_once(timeout_sec=left)
@@ -149,15 +154,16 @@ class Driver:
             message = self.imu
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(ns, 1_000_000_000)
             vector = message.linear_acceleration
-            vector.x, vector.y, vector.z = noise[k]
+            vector.x, vector.y, vector.z = noise[k % len(noise)]
             vector.z += 9.81 + 0.5 * math.sin(9.0 * k / rate)
             vector = message.angular_velocity
-            vector.x, vector.y, vector.z = (0.02 * v for v in noise[-k - 1])
+            vector.x, vector.y, vector.z = (0.02 * v for v in noise[-(k % len(noise)) - 1])
             if k % int(rate // 10) == 0:
                 self._send_gps(ns)
-            if k >= warm:
+            if self.sent or (k >= warm and self.answered) or k >= longest:
                 self.sent[ns] = time.perf_counter()
             self.out.publish(message)
+            k += 1
         until = time.perf_counter() + 0.5
         while time.perf_counter() < until:
             self.executor.spin_once(timeout_sec=0.05)

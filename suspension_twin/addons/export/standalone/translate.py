@@ -299,7 +299,11 @@ class _Writer:
         comment = f"/* {text} */\n" if doc else ""
         self.statements(self.tree.body[bool(doc) :])
         kind = "double" if self.results < 0 else "void"
-        locals_ = self._declarations()
+        locals_ = list(self._declarations())
+        if self.language is C:  # an argument that nothing reads: said, for compilers that ask
+            read = set(re.findall(r"\w+", "\n".join(self.lines)))
+            given = re.findall(r"(\w+)(?:,|$)", self.signature.replace("void", ""))
+            locals_ += [f"    (void){argument};" for argument in given if argument not in read]
         head = f"{comment}static {kind} {name}({self.signature})"
         return "\n".join([head, "{", *locals_, *self.lines, "}", ""])
 
