@@ -334,15 +334,15 @@ def answer(
     d = found.document
     named = d["combination"] if d["verdict"] in ("effect", "partly") else []
     first = [c for c in d["causes"] if c["effect"] in named][:1]
-    chance = first[0]["probability"] if first else d[f"{d['verdict']}_probability"]
+    said = "no_gap" if d["verdict"] == "recalibration" else d["verdict"]
     return {
         "case": case.name,
         "faults": case.faults,
         "drives": case.drives,
         "verdict": d["verdict"],
         "named": named,
-        "probability": chance,
-        "right": set(named) == wanted and (bool(named) or d["verdict"] == nothing),
+        "probability": d["probability"],
+        "right": set(named) == wanted and (bool(named) or said == nothing),
         "parameters": {c["effect"]: c["parameters"] for c in first},
         "first": [[c["effect"], round(c["probability"], 3)] for c in d["causes"][:3]],
         "no_gap": d["no_gap_probability"],

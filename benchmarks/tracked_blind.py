@@ -49,7 +49,11 @@ def outcome(truth: dict[str, Any], document: dict[str, Any]) -> str:
     a word that such a fault cannot be judged on these runs; else ``another``, ``unknown`` or ``no_gap``."""
     kind, named = truth["kind"], document["combination"]
     if kind == "none":
-        return "right" if document["verdict"] == "no_gap" else ("another" if named else "unknown")
+        return (
+            "right"
+            if document["verdict"] in ("no_gap", "recalibration")
+            else ("another" if named else "unknown")
+        )
     if named == [kind]:
         return "right"
     if named:

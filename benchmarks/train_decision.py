@@ -199,8 +199,7 @@ def score(
     rows = []
     for case in cases:
         found = decide(case.evidence, costs, Weights(weights[case.label["reality"]], conformal, {}))
-        named = found.chosen not in ((), ("unknown",))
-        top = max(found.effects, key=lambda e: found.effects[e]) if found.effects else ""
+        top = max(found.effects, key=found.presence, default="")
         rows.append(
             {
                 "case": case.name,
@@ -210,8 +209,11 @@ def score(
                 "severity": min((r["severity"] for r in case.label["reached"].values()), default=0.0),
                 "truth": list(case.truth),
                 "chosen": list(found.chosen),
-                "right": found.chosen == case.truth,
-                "wrong": named and not set(found.chosen) & set(case.truth),
+                "right": found.chosen == case.truth and (found.sure or found.row is None),
+                "suspected": found.row is not None and not found.sure,
+                "near": found.chosen == case.truth,
+                "wrong": found.sure and not set(found.chosen) & set(case.truth),
+                "wrong_suspicion": not set(found.chosen) & set(case.truth),
                 "top": top in case.truth,
                 "p": [
                     (p, a.causes in case.good)
@@ -230,10 +232,12 @@ def score(
     nulls = [r for r in rows if r["kind"] == "null"]
     return {
         "single_named": share("right", **plain),
+        "single_named_or_suspected": share("near", **plain),
         "single_first": share("top", **plain),
         "single_named_with_reference": share("right", **plain, reference=True),
         "single_named_without": share("right", **plain, reference=False),
         "pair_exact": share("right", kind="pair"),
+        "pair_exact_or_suspected": share("near", kind="pair"),
         "null_no_gap": share("right", kind="null"),
         "null_named": [
             round(float(np.mean([r["wrong"] for r in nulls])), 3) if nulls else float("nan"),
@@ -243,6 +247,7 @@ def score(
         "removed_unknown": share("right", kind="removed", severity=lambda s: s >= PLAIN),
         "removed_named": share("wrong", kind="removed"),
         "wrong_name": share("wrong", kind=lambda k: k != "removed"),
+        "suspected_wrong": share("wrong_suspicion", suspected=True, kind=lambda k: k != "removed"),
         "coverage": share("covered"),
         "set_size": share("size"),
         "calibration_error": round(

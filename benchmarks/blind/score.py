@@ -160,7 +160,14 @@ def figures(rows: Sequence[Row]) -> dict[str, Any]:
         out[name] = {"value": pair[0], "n": pair[1], "bar": bar}
 
     put("top1", _share(plain, _top1), ">= 0.90")
-    put("top1_ranked", _share(plain, lambda r: r["top"] == r["truth"][0]))
+    put(
+        "sure_or_suspected",
+        _share(plain, lambda r: r["verdict"] in (*_NAMED, "suspected") and _first(r)),
+        ">= 0.97",
+    )
+    suspected = [r for r in rows if r["verdict"] == "suspected"]
+    put("suspected_wrong", _share(suspected, lambda r: r["top"] not in r["truth"]), "<= 0.15")
+    put("top1_ranked", _share(plain, _first))
     put(
         "top3", _share(plain, lambda r: bool(r.get("rank") and r["rank"][0] and r["rank"][0] <= 3)), ">= 0.97"
     )
@@ -174,7 +181,8 @@ def figures(rows: Sequence[Row]) -> dict[str, Any]:
     put("faint_named_right", _share(faint, _top1))
     put("faint_named_wrong", _share(faint, lambda r: bool(r["named"]) and not _top1(r)))
     put("false_alarms", _share(kinds["null"], lambda r: r["verdict"] in _NAMED), "<= 0.02")
-    put("null_no_gap", _share(kinds["null"], lambda r: r["verdict"] == "no_gap"))
+    put("null_no_gap", _share(kinds["null"], lambda r: r["verdict"] in ("no_gap", "recalibration")))
+    put("null_suspected", _share(kinds["null"], lambda r: r["verdict"] == "suspected"))
     put("unknown_outside", _share(kinds["outside"], lambda r: r["verdict"] == "unknown"), ">= 0.90")
     put("unknown_excluded", _share(kinds["excluded"], lambda r: r["verdict"] == "unknown"), ">= 0.90")
     both = kinds["outside"] + kinds["excluded"]
@@ -217,8 +225,12 @@ def figures(rows: Sequence[Row]) -> dict[str, Any]:
     }
 
 
+def _first(row: Row) -> bool:
+    return bool(row["top"] == row["truth"][0])
+
+
 def _top1(row: Row) -> bool:
-    return row["verdict"] in _NAMED and row["top"] == row["truth"][0]
+    return row["verdict"] in _NAMED and _first(row)
 
 
 def reliability(rows: Sequence[Row]) -> list[dict[str, float]]:

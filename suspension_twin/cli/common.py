@@ -213,7 +213,7 @@ def print_diagnosis(document: Document, out: Path | None) -> None:
             wording.effect_name(cause["effect"]),
             "; ".join(f"{name} {value}" for name, value in wording.parameters_of(cause)),
             wording.channel_name(wording.channel_of(document, cause)),
-            f"{cause['probability']:.3f}",
+            f"{cause['presence']:.3f}",
             f"{cause['shrink_beyond_recalibration']:.2f}",
             "{:.2f} to {:.2f}".format(*cause["shrink_beyond_recalibration_interval"]),
         )

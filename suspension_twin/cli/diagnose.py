@@ -70,7 +70,7 @@ def command(
         typer.Option(
             "--costs",
             help="Costs of a wrong name, a missed cause, unknown and vague answers: "
-            "wrong=4,missed=1,unknown=1,vague=0.5.",
+            "wrong=4,missed=1,unknown=1,vague=0.5; or a use, workshop or release.",
             metavar="TABLE",
             show_default=False,
         ),

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,8 @@ __all__ = ["answer_of", "decided_anew", "leading_channel", "rounded", "write", "
 
 #: Keys of diagnosis.json that a decision made anew keeps: they depend on the drives alone.
 _KEPT = ("where", "warnings", "next_experiment")
+#: Verdicts of a gap of which something may stay unexplained.
+WITH_SIGNATURE = ("unknown", "partly", "suspected")
 
 
 def answer_of(evidence: Json, decision: Decision) -> Json:
@@ -33,9 +36,11 @@ def answer_of(evidence: Json, decision: Decision) -> Json:
     """
     case, base, rows = evidence["case"], evidence["base"], evidence["hypotheses"]
     main = next(iter(case["channels"]))
+    verdict = _verdict(case, base, decision)
     kept = _written(decision.row if decision.row is not None else base)
     left = kept["channels"][main]["written"]
-    verdict = _verdict(case, decision)
+    if decision.row is None and not is_better(base, main):
+        left = {"before": left["before"], "after": left["before"], "shrink": 0.0, "low": 0.0, "high": 0.0}
     document = {
         "verdict": verdict,
         "probability": round(_probability(decision), 6),
@@ -52,11 +57,14 @@ def answer_of(evidence: Json, decision: Decision) -> Json:
         "shrink_interval": [left["low"], left["high"]],
         "causes": _causes(rows, decision),
         "no_gap_probability": round(decision.no_gap, 6),
+        "recalibration_probability": round(decision.no_gap, 6) if _needed(base, main) else 0.0,
         "unknown_probability": round(decision.unknown, 6),
         "candidates": [_named(c) for c in decision.candidates],
         "combination": list(decision.row["effects"]) if decision.row is not None else [],
         "unexplained": rounded(1.0 - left["shrink"]),
         "recalibration": _shrink(base["channels"][main]["written"]),
+        "recalibrated": base.get("recalibrated", []),
+        "reference": bool(case["reference"]),
         "background": {
             "share_of_motion_left": kept["level"],
             "share_left_on_reference": case["level_on_reference"],
@@ -73,10 +81,24 @@ def leading_channel(row: Json) -> str:
     return str(max(row["channels"], key=lambda name: row["channels"][name]["low"]))
 
 
-def _verdict(case: Json, decision: Decision) -> str:
-    """``effect`` where at most half of the leading channel's residual beyond the discrepancy stays, else ``partly``."""
+def is_better(base: Json, channel: str) -> bool:
+    """Whether the recalibrated twin is better than the given one on held-out road, beyond chance."""
+    return bool(base["channels"][channel]["written"]["low"] > 0.0)
+
+
+def _needed(base: Json, channel: str) -> bool:
+    """Whether recalibration is a finding: what moved beyond its uncertainty makes the twin better."""
+    return bool(base.get("recalibrated")) and is_better(base, channel)
+
+
+def _verdict(case: Json, base: Json, decision: Decision) -> str:
+    """``effect`` where at most half of the leading channel's residual beyond the discrepancy stays, else ``partly``;
+    ``suspected`` where no named cause is sure."""
     if decision.row is None:
-        return "no_gap" if decision.chosen == () else "unknown"
+        needed = _needed(base, next(iter(case["channels"])))
+        return "unknown" if decision.chosen else "recalibration" if needed else "no_gap"
+    if not decision.sure:
+        return "suspected"
     row = decision.row
     name = leading_channel(row)
     expected = usual_level(case) * case["channels"][name]["motion"]
@@ -87,13 +109,12 @@ def _verdict(case: Json, decision: Decision) -> str:
 
 
 def _probability(decision: Decision) -> float:
-    """Of the verdict: that of the set that is named, or of no gap or unknown."""
+    """Of the verdict: the presence of the leading cause, or that of no gap or unknown."""
     if decision.chosen == ():
         return decision.no_gap
     if decision.chosen == ("unknown",):
         return decision.unknown
-    pairs = zip(decision.answers, decision.probability, strict=True)
-    return float(sum(p for a, p in pairs if a.causes == decision.chosen))
+    return max(decision.presence(effect) for effect in decision.chosen)
 
 
 def _causes(rows: list[Json], decision: Decision) -> list[Json]:
@@ -101,9 +122,10 @@ def _causes(rows: list[Json], decision: Decision) -> list[Json]:
     together = _written(decision.row)["parameters"] if decision.row is not None else {}
     tied = [c[0] for c in decision.candidates if len(c) == 1 and c != ("unknown",)]
     causes = []
+    presence = {r["effects"][0]: decision.presence(r["effects"][0]) for r in rows if single(r)}
     for row in sorted(
         filter(single, rows),
-        key=lambda r: (-round(decision.effects[r["effects"][0]], 9), -r["tempered_gain"], r["effects"][0]),
+        key=lambda r: (-round(presence[r["effects"][0]], 9), -r["tempered_gain"], r["effects"][0]),
     ):
         effect = row["effects"][0]
         shown = _written(decision.row) if decision.chosen == (effect,) and decision.row is not None else row
@@ -113,6 +135,7 @@ def _causes(rows: list[Json], decision: Decision) -> list[Json]:
         cause: Json = {
             "effect": effect,
             "probability": round(decision.effects[effect], 6),
+            "presence": round(presence[effect], 6),
             "parameters": {name: p["value"] for name, p in parameters.items()},
             "channel": channel,
             **_shrink(beyond["written"]),
@@ -182,15 +205,26 @@ def decided_anew(folder: Path, costs: Costs) -> tuple[Json, Twin | None]:
         path = Path(evidence["twin"])
         decision = decide(evidence, costs)
         document = answer_of(evidence, decision)
-        row = evidence["base"] if decision.row is None else decision.row
-        twin = _twin_with(load_twin(path), row) if path.is_file() else None
+        twin = load_twin(path) if path.is_file() else None
+        if twin is not None and (row := kept_row(evidence, decision)) is not None:
+            twin = _twin_with(twin, row)
     document |= {k: before[k] for k in _KEPT if k in before}
-    if document["verdict"] in ("unknown", "partly") and "signature" in before:
+    if document["verdict"] in WITH_SIGNATURE and "signature" in before:
         document["signature"] = before["signature"]
     if before.get("before_and_after"):
         document["before_and_after"] = True
     document["seed"], document["message"] = evidence["seed"], wording.message(document)
     return document, twin
+
+
+def kept_row(evidence: Json, decision: Decision) -> Json | None:
+    """The row whose twin is handed on: that of the named causes, of recalibration where it is better than the given
+    twin and something is off, or None for the given twin."""
+    if decision.row is not None:
+        return decision.row
+    base, main = evidence["base"], next(iter(evidence["case"]["channels"]))
+    wanted = is_better(base, main) if decision.chosen else _needed(base, main)
+    return base if wanted else None
 
 
 def _twin_with(given: Twin, row: Json) -> Twin:
@@ -215,10 +249,33 @@ def _read(path: Path) -> Json:
 
 
 def write(result: DiagnosisResult, folder: Path) -> None:
-    """Write ``diagnosis.json``, ``evidence.json`` and ``twin.yaml`` to ``folder``, which is made."""
+    """Write ``diagnosis.json``, ``evidence.json`` and ``twin.yaml`` to ``folder``, which is made.
+
+    A twin that was not changed is handed back as it came: the text of its file.
+    """
     write_text(folder / "evidence.json", json.dumps(result.evidence, allow_nan=False) + "\n")
     write_document(result.document, folder)
-    save_twin(result.twin, folder / "twin.yaml")
+    hand_on(result.twin, Path(result.evidence["twin"]), folder / "twin.yaml")
+
+
+def hand_on(twin: Twin, given: Path, path: Path) -> None:
+    """Write ``twin`` to ``path``: the text of the ``given`` file where it is the twin of that file, paths in it as they
+    are from the new place."""
+    if not given.is_file() or load_twin(given) != twin:
+        save_twin(twin, path)
+        return
+    text, moved = given.read_text(encoding="utf-8"), given.parent.resolve() != path.parent.resolve()
+    files: list[Path] = []
+
+    def noted(file: Path) -> Path:
+        files.append(file)
+        return file
+
+    twin.with_paths(noted)
+    for file in files if moved else ():
+        here, there = (Path(os.path.relpath(file, p.parent.resolve())).as_posix() for p in (given, path))
+        text = text.replace(here, there)
+    write_text(path, text)
 
 
 def write_document(document: Json, folder: Path) -> None:

@@ -11,13 +11,14 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis import wording
-from suspension_twin.diagnosis.answer import answer_of, leading_channel, rounded
+from suspension_twin.diagnosis.answer import WITH_SIGNATURE, answer_of, kept_row, leading_channel, rounded
 from suspension_twin.diagnosis.case import Case
 from suspension_twin.diagnosis.decision import Decision, decide, learnt, usual
 from suspension_twin.diagnosis.features import add_intervals, evidence_of, refined_row
 from suspension_twin.diagnosis.judge import Candidate, Judged, candidate
 from suspension_twin.diagnosis.library import NUISANCE_COUNTERPART, library
 from suspension_twin.diagnosis.next_experiment import next_experiment
+from suspension_twin.diagnosis.recalibration import recalibrated
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, DriveView
 from suspension_twin.diagnosis.shrink import RemainingResidual
 from suspension_twin.diagnosis.where import (
@@ -44,20 +45,21 @@ def conclude(request: DiagnosisRequest, case: Case, judged: Judged, seconds: flo
     """The document of diagnosis.json, its evidence, the twin with what was found, and what the report shows."""
     rows = {"twin": str(Path(request.twin).resolve()), **evidence_of(case, judged, request.seed)}
     add_intervals(case, judged, rows)
+    rows["base"]["recalibrated"] = recalibrated(judged, case.twin, request.seed) if case.excited else []
     decision = decide(rows, request.costs)
     kept = _of_row(judged, rows, decision)
     if kept is not judged.base:
         kept, problem = _refined(judged, kept)
         assert decision.row is not None
         decision.row["refined"] = refined_row(case, replace(judged, problem=problem), kept, request.seed)
-    twin = twin_of(judged.problem, kept.found.fit)
-    recalibrated = twin_of(judged.problem, judged.base.found.fit)
+    base = twin_of(judged.problem, judged.base.found.fit)
+    twin = twin_of(judged.problem, kept.found.fit) if kept_row(rows, decision) is not None else case.twin
     document = answer_of(rows, decision)
-    document["where"] = localise(judged.problem, judged.base.remaining.difference, judged.noise, recalibrated)
+    document["where"] = localise(judged.problem, judged.base.remaining.difference, judged.noise, base)
     section = _road_section(case, judged, request.effects) if case.road and kept is judged.base else None
-    if document["verdict"] in ("unknown", "partly"):
+    if document["verdict"] in WITH_SIGNATURE:
         document["signature"] = {
-            **signature(judged.problem, kept.remaining.difference, twin),
+            **signature(judged.problem, kept.remaining.difference, twin if kept is not judged.base else base),
             "resembles": _resembles(decision),
             **(_periodic(judged.problem, kept.remaining) if case.road else {}),
         }
@@ -69,7 +71,7 @@ def conclude(request: DiagnosisRequest, case: Case, judged: Judged, seconds: flo
     main = judged.problem.channels[0]
     closing = main if decision.row is None else leading_channel(decision.row)
     views = _views(judged.problem, case.twin, twin, closing)
-    return DiagnosisResult(document, twin, views, seconds, case.warnings, rows)
+    return DiagnosisResult(document, twin, views, seconds, case.warnings, rows, case.twin)
 
 
 def _of_row(judged: Judged, rows: Json, decision: Decision) -> Candidate:

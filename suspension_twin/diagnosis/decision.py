@@ -4,7 +4,11 @@
 Every answer a has a utility u_a = w . phi_a and the probability exp(u_a) / sum_b exp(u_b) (McFadden 1974). The
 features phi are computed from the rows of ``evidence.json``; physics dictates the sign of each weight. The weights w
 are in ``decision.json``, made by ``benchmarks/train_decision.py`` from cases of simulators that share no code with the
-package. The verdict is the answer of least expected cost.
+package.
+
+The decision is made cause by cause. What counts is the presence q of a cause: its probability over all sets that hold
+it. With the costs ``wrong`` of a name that is not true and ``unknown`` of a cause that is kept back, a cause is sure
+where (1 - q) wrong <= q unknown. A cause that is not sure, but more probable than any other answer, is suspected.
 
 Beside it stands the conformal set of answers that holds the truth in 90 % of cases (Sadinle, Lei, Wasserman 2019):
 every answer of at least the probability that 90 % of true answers have in realities that were left out of the
@@ -28,6 +32,7 @@ from suspension_twin.files import Json
 __all__ = [
     "FEATURES",
     "FORMAT",
+    "USES",
     "Answer",
     "Costs",
     "Decision",
@@ -107,8 +112,9 @@ def usual(name: str) -> float:
 class Costs:
     """Costs of a verdict, the unit being a cause that is there and not named.
 
-    ``wrong``: a cause is named that is not there. ``missed``: "no gap" is said where there is one. ``unknown``:
-    "unknown" is said where it is not so. ``vague``: for each cause too many or too few beside a right one.
+    ``wrong``: a cause is named for sure that is not there. ``missed``: "no gap" is said where there is one.
+    ``unknown``: "unknown" is said where nothing is wrong, or a cause is kept back. ``vague``: "unknown" is said, with
+    the causes by their probability, where one of the library's is true.
     """
 
     wrong: float = 4.0
@@ -118,7 +124,10 @@ class Costs:
 
     @classmethod
     def parsed(cls, text: str) -> Costs:
-        """From ``wrong=4,missed=1``; InputError names a cost that is unknown or no positive number."""
+        """From a use (``workshop``, ``release``) or ``wrong=4,missed=1``; InputError names a cost that is unknown or no
+        positive number."""
+        if text.strip() in USES:
+            return USES[text.strip()]
         known = {f.name for f in fields(cls)}
         given: dict[str, float] = {}
         for item in filter(None, (i.strip() for i in text.split(","))):
@@ -133,16 +142,19 @@ class Costs:
                 raise InputError("costs", name, "has to be a number of at least 0")
         return cls(**given)
 
-    def of(self, said: tuple[str, ...], true: tuple[str, ...]) -> float:
-        """Cost of an answer; causes are ids of effects, () is no gap and ("unknown",) unknown."""
-        if said == true:
-            return 0.0
-        if said == ("unknown",):
-            return self.unknown
-        if said == ():
-            return self.missed
-        right = set(said) & set(true)
-        return self.vague * len(set(said) ^ set(true)) if right else self.wrong
+    @property
+    def sure(self) -> float:
+        """Least presence of a cause that is named for sure; 1 where naming can only cost."""
+        return self.wrong / (self.wrong + self.unknown) if self.unknown else 1.0
+
+    def nothing(self, no_gap: float, unknown: float) -> bool:
+        """Whether "no gap" is expected to cost less than "unknown", by the probabilities of both."""
+        return self.missed * (1.0 - no_gap) <= self.unknown * no_gap + self.vague * (1.0 - no_gap - unknown)
+
+
+#: Costs by use. In a workshop a look at the wrong part costs as much as a part not looked at: what is more probable
+#: than not is sure. Before a release a wrong name costs most: 19 of 20 have to be true.
+USES: Mapping[str, Costs] = {"workshop": Costs(wrong=1.0), "release": Costs(wrong=19.0)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,22 +195,40 @@ class Answer:
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """``probability`` (A,) of each of the ``answers``; ``chosen`` is the causes of the answer of least expected cost
-    and ``row`` its row; ``effects`` the probability of each effect, a set's in equal parts for its members;
-    ``candidates`` the conformal set, the most probable first."""
+    """``probability`` (A,) of each of the ``answers``, ``masses`` of each different one by its causes.
+
+    ``chosen``: the causes that are named, () for no gap and ``("unknown",)``; ``sure`` whether at least one of them is;
+    ``row`` the row that holds them. ``effects``: probability of each effect of the library, a set's in equal parts for
+    its members: with those of no gap and unknown the sum is 1. ``candidates``: the conformal set, the most probable
+    first.
+    """
 
     answers: list[Answer]
     probability: Floats
+    masses: dict[tuple[str, ...], float]
     chosen: tuple[str, ...]
+    sure: bool
     row: Json | None
     effects: dict[str, float]
-    no_gap: float
-    unknown: float
     candidates: list[tuple[str, ...]]
+
+    @property
+    def no_gap(self) -> float:
+        """Probability that there is no gap."""
+        return self.masses[()]
+
+    @property
+    def unknown(self) -> float:
+        """Probability of something that is not in the library."""
+        return self.masses[("unknown",)]
+
+    def presence(self, effect: str) -> float:
+        """Probability of an effect over all sets that hold it."""
+        return float(sum(p for causes, p in self.masses.items() if effect in causes))
 
 
 def decide(evidence: Json, costs: Costs | None = None, weights: Weights | None = None) -> Decision:
-    """The verdict of least expected cost.
+    """The verdict by the presence of each cause and the costs.
 
     Parameters
     ----------
@@ -232,15 +262,33 @@ def decide(evidence: Json, costs: Costs | None = None, weights: Weights | None =
     for causes, p in masses.items():
         for effect in causes if causes != ("unknown",) else ():
             effects[effect] = effects.get(effect, 0.0) + p / len(causes)
-    rows = {a.causes: a.row for a in answers if a.row is not None and not a.row["decoy"]}
-    allowed = [(), ("unknown",), *(c for c, r in rows.items() if _shrinks(r))]
-    # costs are compared to twelve digits, so that a tie falls to the first
-    expected = [round(sum(p * costs.of(said, true) for true, p in masses.items()), 12) for said in allowed]
-    chosen = allowed[int(np.argmin(expected))]
     ranked = sorted(masses, key=lambda c: -masses[c])
     candidates = [c for c in ranked if masses[c] >= known.conformal] or ranked[:1]
-    row, none, unknown = rows.get(chosen), masses[()], masses[("unknown",)]
-    return Decision(answers, probability, chosen, row, effects, none, unknown, candidates)
+    rows = {a.causes: a.row for a in answers if a.row is not None and not a.row["decoy"] and _shrinks(a.row)}
+    chosen, sure = _chosen(masses, rows, costs)
+    return Decision(answers, probability, masses, chosen, sure, rows.get(chosen), effects, candidates)
+
+
+def _chosen(
+    masses: Mapping[tuple[str, ...], float], rows: Mapping[tuple[str, ...], Json], costs: Costs
+) -> tuple[tuple[str, ...], bool]:
+    """The causes that are named, and whether at least one of them is sure.
+
+    Beside a sure or a suspected cause those are named that are more probable than not. A cause or a set without a row
+    whose shrink excludes zero is not named.
+    """
+    no_gap, unknown = masses[()], masses[("unknown",)]
+    presence: dict[str, float] = {}
+    for causes in rows:
+        for effect in causes:
+            presence[effect] = sum(p for c, p in masses.items() if effect in c)
+    best = max(presence, key=lambda e: presence[e], default=None)
+    sure = best is not None and presence[best] >= costs.sure
+    if best is not None and (sure or presence[best] > max(no_gap, unknown)):
+        named = {e for e, q in presence.items() if q > 0.5} | {best}
+        held = [c for c in rows if best in c and set(c) <= named] or [c for c in rows if best in c]
+        return max(held, key=lambda c: (len(set(c) & named), masses[c])), sure
+    return ((), False) if costs.nothing(no_gap, unknown) else (("unknown",), False)
 
 
 def single(row: Json) -> bool:

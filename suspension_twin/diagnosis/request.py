@@ -94,7 +94,7 @@ class DriveView:
 @dataclass(frozen=True, eq=False)
 class DiagnosisResult:
     """``document`` is the content of diagnosis.json, ``evidence`` that of evidence.json, ``twin`` the twin
-    with the named effects."""
+    with the named effects, ``given`` the one that was diagnosed."""
 
     document: Json
     twin: Twin
@@ -102,6 +102,7 @@ class DiagnosisResult:
     seconds: float
     warnings: tuple[str, ...] = field(default_factory=tuple)
     evidence: Json = field(default_factory=dict)
+    given: Twin | None = None
 
     @property
     def message(self) -> str:

@@ -89,7 +89,7 @@ def diagnose(
         if level is None or level < _SOUND or not case.excited:
             return conclude(request, case, judged, time.monotonic() - began)
         found = conclude(request, case, judged, time.monotonic() - began) if level < _OTHER_VEHICLE else None
-        if found is not None and found.document["verdict"] != "no_gap":
+        if found is not None and found.document["verdict"] not in ("no_gap", "recalibration"):
             return found
         alike = _before_and_after(request, report, stop, began) if case.road else None
         if alike is not None:
@@ -164,7 +164,7 @@ def _before_and_after(
     together = replace(request, bags=(*request.bags, *request.reference), reference=(), effects=set_up)
     case, judged = _judged(together, report, stop)
     result = conclude(together, case, judged, time.monotonic() - began)
-    if result.document["verdict"] not in ("effect", "partly"):
+    if not result.document["combination"]:
         return None
     document = {**result.document, "before_and_after": True}
     document["message"] = wording.message(document)

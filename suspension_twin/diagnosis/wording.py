@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -33,12 +33,14 @@ __all__ = [
     "leading",
     "listed",
     "message",
+    "moved_words",
     "parameter_name",
     "parameter_value",
     "parameters_of",
     "percent",
     "place_name",
     "remarks",
+    "said",
 ]
 
 #: The content of ``diagnosis.json``, or of one of its causes.
@@ -49,6 +51,7 @@ _WORDS: Final = json.loads(Path(__file__).with_name("wording.json").read_text(en
 #: Calibrated language for probabilities (IPCC, Guidance Note on Consistent Treatment of Uncertainties, 2010), and words
 #: for parameters whose names say little.
 _LIKELY: Final[list[tuple[float, str]]] = _WORDS["likely"]
+_OTHER: Final = ("lower", "higher")
 _PLAIN: Final[Mapping[str, str]] = _WORDS["parameters"]
 
 
@@ -142,7 +145,7 @@ def finding(effect: str, parameters: Mapping[str, float]) -> str:
     known = EFFECTS.get(effect)
     if known is not None and _nothing(effect, parameters):
         return f"no sign of this: {known.title}"
-    if known is not None and known.finding is not None:
+    if known is not None and known.finding is not None and parameters:
         return known.finding(parameters)
     values = [f"{parameter_name(effect, k)} {parameter_value(effect, k, v)}" for k, v in parameters.items()]
     return effect_name(effect) + (f" ({', '.join(values)})" if values else "")
@@ -175,36 +178,89 @@ def _named(document: Document) -> list[Document]:
 
 def leading(document: Document) -> Document | None:
     """The most probable of the causes that the answer names."""
-    return max(_named(document), key=lambda c: float(c["probability"]), default=None)
+    return max(_named(document), key=_presence, default=None)
 
 
-def _likelier(document: Document) -> Document | None:
-    """The cause that is more probable than an answer that names none: a wrong name costs more than none."""
-    if document["verdict"] not in ("no_gap", "unknown"):
-        return None
-    likelier = [c for c in document["causes"] if float(c["probability"]) > float(document["probability"])]
-    return max(likelier, key=lambda c: float(c["probability"]), default=None)
+def _presence(cause: Document) -> float:
+    """Probability of a cause over all sets that hold it."""
+    return float(cause.get("presence", cause["probability"]))
+
+
+def _certain(cause: Document) -> dict[str, float]:
+    """Parameters of a cause; one of several sizes whose interval holds no change counts as none."""
+    values, ends = dict(cause["parameters"]), cause.get("parameter_intervals", {})
+    sizes = [
+        p for n in EFFECTS[cause["effect"]].severity if (p := _parameter(cause["effect"], n)) and n in values
+    ]
+    open_ = [p for p in sizes if p.name in ends and ends[p.name][0] <= p.neutral <= ends[p.name][1]]
+    return values | ({p.name: p.neutral for p in open_} if len(open_) < len(sizes) else {})
+
+
+def said(cause: Document) -> str:
+    """A cause with its parameters in words, of those that are certain."""
+    known = cause["effect"] in EFFECTS
+    return finding(cause["effect"], _certain(cause) if known else cause["parameters"])
+
+
+def _otherwise(document: Document, named: Sequence[Document]) -> list[tuple[float, str]]:
+    """Other answers, of at least 5 %, the most probable first."""
+    left = [c for c in document["causes"] if c not in named]
+    others = [(_presence(c), said(c)) for c in sorted(left, key=_presence, reverse=True)[:1]]
+    others += [
+        (float(document["unknown_probability"]), UNKNOWN),
+        (float(document["no_gap_probability"]), NOTHING),
+    ]
+    return sorted((o for o in others if o[0] >= 0.05), key=lambda o: -o[0])
+
+
+def _chances(others: Sequence[tuple[float, str]]) -> str:
+    return listed([f"{words} ({chance(p)})" for p, words in others])
 
 
 def answer(document: Document) -> str:
     """The answer and how sure it is, in one sentence."""
     verdict, probability, named = document["verdict"], float(document["probability"]), _named(document)
-    sure = f"{capital(next(word for least, word in _LIKELY if probability >= least))} ({chance(probability)})"
+    likely = capital(next(word for least, word in _LIKELY if probability >= least))
+    sure = f"{likely} ({chance(probability)})"
+    if verdict == "suspected":
+        # more probable than any other answer, whatever the number
+        word = "Probably" if probability >= 0.5 else "Perhaps"
+        found = "; and ".join(said(c) for c in named)
+        others = _otherwise(document, named)
+        return f"{word} ({chance(probability)}): {found}" + (
+            f"; or else: {_chances(others)}." if others else "."
+        )
     if named:
-        found = "; and ".join(finding(c["effect"], c["parameters"]) for c in named)
+        found = "; and ".join(said(c) for c in named)
         more = ", but that is not all" if verdict == "partly" else ""
         return f"{sure}: {found}{more}."
-    likelier = _likelier(document)
-    if likelier is not None:
-        chances = [
-            (float(likelier["probability"]), finding(likelier["effect"], likelier["parameters"])),
-            (float(document["unknown_probability"]), f"it is {UNKNOWN}"),
-            (float(document["no_gap_probability"]), NOTHING),
-        ]
-        return f"No cause is certain enough to be named: {listed([f'{chance(p)} that {w}' for p, w in chances])}."
-    if verdict == "no_gap":
-        return f"{sure}: {NOTHING} that these drives could show."
-    return f"{sure}: something is wrong, but nothing in the library of causes explains it."
+    others = _otherwise(document, [])
+    if verdict == "unknown":
+        wrong = 1.0 - float(document["no_gap_probability"])
+        if others and others[0][1] != UNKNOWN:
+            return f"Something is wrong ({chance(wrong)}), no cause is certain enough to be named: {_chances(others)}."
+        return f"{sure}: something is wrong, but nothing in the library of causes explains it."
+    if probability < 0.5:  # no answer is more probable than not
+        return f"These drives do not settle it: {_chances(others)}."
+    if verdict == "recalibration":
+        moved = listed([moved_words(one) for one in document["recalibrated"][:2]])
+        return f"{sure}: no effect is missing, but the twin's own values are off: {moved}."
+    return f"{sure}: {NOTHING} that these drives could show."
+
+
+def moved_words(one: Document) -> str:
+    """A value that recalibration moved, in words: ``rear damper, both ways: 50 % weaker (44 to 55)``."""
+    name, change, (low, high) = str(one["characteristic"]), float(one["change"]), one["interval"]
+    words = (
+        ("weaker", "stronger") if "damper" in name else ("softer", "stiffer") if "spring" in name else _OTHER
+    )
+    word = words[change > 0.0]
+    ends = sorted((abs(low), abs(high)))
+    if one["relative"]:
+        return f"{name}: {percent(abs(change))} {word} ({' to '.join(f'{100.0 * end:.0f}' for end in ends)})"
+    unit = one["unit"]
+    size, *rest = (plain(v, unit) if unit else f"{v:.2g}" for v in (abs(change), *ends))
+    return f"{name}: {size} {word} ({' to '.join(rest)})"
 
 
 def remarks(document: Document) -> list[str]:
@@ -213,14 +269,15 @@ def remarks(document: Document) -> list[str]:
     if document["combination"]:
         lines += _closing(document)
     elif verdict == "no_gap":
-        r = document["recalibration"]
-        text = "Twin and car differ by no more than sensor noise and the usual error of a model"
-        if r["gap_before"] - r["gap_after"] > 0.1 * r["gap_before"]:
-            text += f", once the twin is recalibrated: that alone closes {percent(r['shrink'])} of the gap"
-        lines.append(text + ".")
+        lines.append("Twin and car differ by no more than sensor noise and the usual error of a model.")
+    elif verdict == "recalibration":
+        lines += _recalibration(document)
     else:
         lines.append(capital(_remaining(document)) + ".")
-    if verdict == "partly":
+    if verdict not in ("recalibration", "no_gap") and document.get("recalibrated"):
+        moved = listed([moved_words(one) for one in document["recalibrated"][:3]])
+        lines.append(f"Recalibration alone would change: {moved}.")
+    if verdict in ("partly", "suspected") and document["unexplained"] > 0.0:
         lines.append(f"{percent(document['unexplained'])} of the gap stay unexplained.")
     candidates = [effect_name(c) for c in document["candidates"]]
     if len(candidates) > 1:
@@ -231,6 +288,25 @@ def remarks(document: Document) -> list[str]:
     if weak:
         lines.append(f"Cannot be judged, as these drives do not excite them: {', '.join(weak)}.")
     return lines
+
+
+def _recalibration(document: Document) -> list[str]:
+    """The part of the gap that recalibration closes, and what tells wear from a wrong start."""
+    r, unit = document["recalibration"], channel_unit(document["gap"]["channel"])
+    low, high = (percent(v) for v in r["shrink_interval"])
+    lines = [
+        f"Recalibrated, the twin's gap falls from {r['gap_before']:.2g} to {r['gap_after']:.2g} {unit}, by "
+        f"{percent(r['shrink'])} ({low} to {high} at 90 % confidence), on road that the fit has not used."
+    ]
+    for one in document["recalibrated"]:
+        alone = f", which closes {percent(one['share'])} of it alone" if one["share"] >= 0.01 else ""
+        lines.append(f"{capital(moved_words(one))}{alone}.")
+    if document.get("reference"):
+        return [*lines, "The reference drives ask for the same values: the file was off before the gap came."]
+    return [
+        *lines,
+        "Wear, or a file that was never right: a reference drive from before the gap tells which.",
+    ]
 
 
 def _remaining(document: Document) -> str:

@@ -20,9 +20,10 @@ from suspension_twin.inference.spring_position import Slide, changes, slides
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["Posterior", "Travel", "posterior", "span_of", "travel"]
+__all__ = ["DRAWS", "Posterior", "Travel", "posterior", "span_of", "travel"]
 
-_DRAWS = 4000  # the ends of a 90 % interval to 3 % of a standard deviation
+#: Draws of a posterior: the ends of a 90 % interval to 3 % of a standard deviation.
+DRAWS = 4000
 _BLOCK_SECONDS = 1.0
 _REACHED = 0.05  # s that have to lie beyond a point before it counts as excited
 
@@ -114,8 +115,8 @@ def posterior(
     d = len(problem.space)
     rng = np.random.default_rng(seed)
     root = np.linalg.cholesky(covariance[:d, :d] + 1e-14 * np.eye(d))
-    scatter = np.einsum("ij,jn->in", root, rng.standard_normal((d, _DRAWS)), optimize=False)
-    middle = np.repeat(x[:d, None], _DRAWS, axis=1)
+    scatter = np.einsum("ij,jn->in", root, rng.standard_normal((d, DRAWS)), optimize=False)
+    middle = np.repeat(x[:d, None], DRAWS, axis=1)
     cost = float(np.sum(residual**2)) + _penalty(problem, x[:d, None], precision)[0]
     better: Floats | None = None
     for curve in problem.space.curves:

@@ -19,13 +19,23 @@ from suspension_twin.diagnosis.request import DiagnosisResult, DriveView
 from suspension_twin.diagnosis.wording import Document
 from suspension_twin.inference.gap import channel_unit
 from suspension_twin.report import plots
+from suspension_twin.report.characteristics import characteristics
 from suspension_twin.report.page import Cell, Html, Lead, Mark, Page, Row, Section, Table
 from suspension_twin.report.style import COLOURS
+from suspension_twin.units import plain
 from suspension_twin.vehicle.corners import CORNERS
 
-__all__ = ["diagnosis_page"]
+__all__ = ["VERDICT_MARKS", "diagnosis_page"]
 
-_MARKS: dict[str, Mark] = {"effect": "warn", "partly": "warn", "no_gap": "good", "unknown": "bad"}
+VERDICT_MARKS: dict[str, Mark] = {
+    "effect": "warn",
+    "partly": "warn",
+    "suspected": "warn",
+    "recalibration": "warn",
+    "no_gap": "good",
+    "unknown": "bad",
+}
+_SAID = {"no_gap": ("no_gap", "recalibration"), "unknown": ("unknown",)}
 _SHOWN_SECONDS, _SHOWN_CAUSES = 6.0, 5
 
 
@@ -50,14 +60,16 @@ def diagnosis_page(result: DiagnosisResult) -> Page:
     d = result.document
     drives = wording.listed([v.name for v in result.drives] or ["no drive"])
     page = Page("Diagnosis", f"{getattr(result.twin.vehicle, 'name', '') or 'the vehicle'}, {drives}")
-    page.lead = Lead(wording.answer(d), wording.remarks(d), _MARKS.get(d["verdict"], ""))
+    page.lead = Lead(wording.answer(d), wording.remarks(d), VERDICT_MARKS.get(d["verdict"], ""))
     for section in (
         _before_and_after(result),
+        _recalibrated(result),
         _where(result),
         _likeliest(d),
         Section("What to drive next", d["next_experiment"]),
     ):
-        page.add(section)
+        if section is not None:
+            page.add(section)
     if d["warnings"]:
         page.add(Section("Warnings", "\n".join(f"- {w}" for w in d["warnings"])))
     for section in (_all_causes(d), _places(result), _drives(result)):
@@ -144,6 +156,39 @@ def _worst(drives: Sequence[DriveView]) -> tuple[DriveView, slice] | None:
             start = int(np.argmax(energy))
             found.append((float(energy[start]), view, slice(start, start + window)))
     return max(found, key=lambda each: each[0])[1:] if found else None
+
+
+# -- recalibration -----------------------------------------------------------------------------------
+
+
+def _recalibrated(result: DiagnosisResult) -> Section | None:
+    """Values that recalibration moved beyond its uncertainty, and where the recalibrated twin is handed on its curves."""
+    moved = result.document.get("recalibrated", [])
+    if not moved:
+        return None
+    rows = [
+        (
+            wording.capital(one["characteristic"]),
+            plain(one["before"], one["unit"], 3),
+            plain(one["after"], one["unit"], 3),
+            wording.moved_words(one).partition(": ")[2],
+            wording.percent(one["share"]),
+        )
+        for one in moved
+    ]
+    columns = ("of the vehicle", "in the file", "recalibrated", "change (90 % interval)", "closes alone")
+    text = (
+        "Values that a calibration to these drives moves beyond their uncertainty, without any effect. Forces, rates "
+        "are means over what the drives reached. The last column: the share of what recalibration closes of the gap."
+    )
+    figure, given = None, result.given
+    if result.verdict == "recalibration" and given is not None and getattr(given.vehicle, "axles", None):
+        figure = characteristics(
+            {"before": given.vehicle, "simulated": result.twin.vehicle},
+            names={"before": "as given", "simulated": "recalibrated"},
+            from_rest=True,
+        )
+    return Section("What recalibration changes", text, Table(columns, rows), figure)
 
 
 # -- where -------------------------------------------------------------------------------------------
@@ -261,14 +306,14 @@ def _likeliest(d: Document) -> Section:
         rows.append(
             (
                 name + ("" if c["judged"] else " (these drives do not show it)"),
-                _chance(float(c["probability"]), c["effect"] in d["combination"]),
+                _chance(float(c.get("presence", c["probability"])), c["effect"] in d["combination"]),
                 wording.channel_name(c["channel"]),
                 f"{wording.percent(c['shrink'])} {_interval(c['shrink_interval'])}",
                 _parameters(c),
             )
         )
     for name, key in ((wording.NOTHING, "no_gap"), (wording.UNKNOWN, "unknown")):
-        cell = _chance(float(d[f"{key}_probability"]), d["verdict"] == key)
+        cell = _chance(float(d[f"{key}_probability"]), d["verdict"] in _SAID[key])
         rows.append((wording.capital(name), cell, "", "", ""))
     columns = ("cause", "probability", "closes the gap in", "by (90 % interval)", "parameters")
     return Section(

@@ -94,13 +94,47 @@ def test_a_late_clock_is_found_without_a_reference(make: Any) -> None:
     assert lead["parameters"]["offset"] == pytest.approx(0.06, abs=0.01)
 
 
-def test_wrong_characteristics_alone_are_no_gap_and_twice_the_same(make: Any) -> None:
+def test_wrong_characteristics_alone_are_recalibrated_and_twice_the_same(
+    make: Any, car: Twin, tmp_path: Path
+) -> None:
+    """The car's front dampers are 15 % stronger in jounce than the file says."""
     case = make()
-    first, second = (diagnose(ask(case)).document for _ in range(2))
+    result = diagnose(ask(case))
+    first = result.document
     check(first)
-    assert first["verdict"] == "no_gap", first["message"]
-    assert first["combination"] == []
-    assert json.dumps(first) == json.dumps(second)
+    assert first["verdict"] == "recalibration", first["message"]
+    assert (
+        first["combination"] == [] and first["recalibration_probability"] == first["no_gap_probability"] > 0.5
+    )
+    (own,) = [one for one in first["recalibrated"] if "vehicle.front.damper_push" in one["keys"]]
+    asked = np.array([230.0, 480.0, 700.0, 810.0])
+    truth = float(np.mean(asked / car.axles["front"].part.damper_push.points[1])) - 1.0
+    assert own is first["recalibrated"][0] and own["interval"][0] <= truth <= own["interval"][1]
+    assert own["change"] == pytest.approx(truth, abs=0.1) and own["share"] > 0.5
+    assert "front damper, push" in first["message"]
+    write(result, tmp_path)
+    drive = read_drive(case[1][0])
+    before, after = (simulate_drive(drive, load_twin(p)).gap for p in (case[0], tmp_path / "twin.yaml"))
+    assert after.rms < before.rms
+    assert json.dumps(first) == json.dumps(diagnose(ask(case)).document)
+    text = " ".join(diagnosis_page(result).render().split())
+    assert "What recalibration changes" in text
+
+
+def test_a_healthy_twin_is_handed_back_as_it_came(make: Any, car: Twin, tmp_path: Path) -> None:
+    twin, bags, _ = make()
+    sound = load_twin(twin).with_changes({"vehicle.front.damper_push.force": [230.0, 480.0, 700.0, 810.0]})
+    given = tmp_path / "sound.yaml"
+    save_twin(sound, given)
+    given.write_text("# weighed in May\n" + given.read_text())
+    result = diagnose(ask((given, bags, [])))
+    assert result.document["verdict"] == "no_gap", result.message
+    assert result.document["shrink"] == 0.0 and result.document["gap_after"] == result.document["gap_before"]
+    write(result, tmp_path / "elsewhere")
+    assert load_twin(tmp_path / "elsewhere" / "twin.yaml") == sound
+    assert (tmp_path / "elsewhere" / "twin.yaml").read_text().startswith("# weighed in May\n")
+    write(result, tmp_path)
+    assert (tmp_path / "twin.yaml").read_bytes() == given.read_bytes()
 
 
 def test_a_clock_offset_that_the_twin_file_has_is_no_gap(make: Any, tmp_path: Path) -> None:

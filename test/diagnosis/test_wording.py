@@ -49,7 +49,7 @@ def document(verdict="effect", **changes):
         "gap_after": 0.41,
         "candidates": [],
         "cannot_be_judged": [],
-        "recalibration": {"gap_before": 0.4, "gap_after": 0.3, "shrink": 0.25},
+        "recalibration": {"gap_before": 0.4, "gap_after": 0.3, "shrink": 0.25, "shrink_interval": [0.1, 0.4]},
         "message": f"{verdict}: 0.3 m/s² remain",
         **changes,
     }
@@ -107,25 +107,88 @@ def test_an_effect_without_a_phrase_is_named_with_its_parameters(monkeypatch):
         ("no_gap", "More likely than not (60 %): nothing is wrong that these drives could show."),
         (
             "unknown",
-            "Unlikely (7 %): something is wrong, but nothing in the library of causes explains it.",
+            "About as likely as not (40 %): something is wrong, but nothing in the library of causes explains it.",
+        ),
+        (
+            "suspected",
+            "Probably (93 %): the rear left damper has lost 40 % of its force; or else: something that is not in the "
+            "library (7 %).",
         ),
     ],
 )
 def test_the_answer_is_one_sentence(verdict, sentence):
     likeliest = {"unknown": 0.05, "no_gap": 0.3}.get(verdict, 0.93)
     found = document(verdict)
+    if verdict == "unknown":
+        found |= {"probability": 0.4, "unknown_probability": 0.4, "no_gap_probability": 0.1}
+    elif verdict == "suspected":
+        found |= {"unknown_probability": 0.07, "no_gap_probability": 0.01, "combination": ["corner_damper"]}
     found["causes"][0]["probability"] = likeliest
     assert wording.answer(found) == sentence
 
 
-def test_a_cause_that_is_likelier_than_the_answer_is_said():
+def test_what_is_open_is_said_with_all_chances():
     found = document("unknown", probability=0.22, unknown_probability=0.22, no_gap_probability=0.1)
     found["causes"][0]["probability"] = 0.64
     assert wording.answer(found) == (
-        "No cause is certain enough to be named: 64 % that the rear left damper has lost 40 % of its force, "
-        "22 % that it is something that is not in the library and 10 % that nothing is wrong."
+        "Something is wrong (90 %), no cause is certain enough to be named: the rear left damper has lost 40 % of its "
+        "force (64 %), something that is not in the library (22 %) and nothing is wrong (10 %)."
     )
-    assert wording.message(found).endswith("10 % that nothing is wrong; 0.41 m/s² of the gap remain")
+    assert wording.message(found).endswith("nothing is wrong (10 %); 0.41 m/s² of the gap remain")
+
+
+MOVED = {
+    "characteristic": "rear damper, both ways",
+    "keys": ["vehicle.rear.damper_pull", "vehicle.rear.damper_push"],
+    "before": 1205.0,
+    "after": 610.0,
+    "unit": "N",
+    "change": -0.494,
+    "interval": [-0.55, -0.44],
+    "relative": True,
+    "share": 0.9,
+}
+HIGHER = {
+    "characteristic": "cog 2",
+    "keys": ["vehicle.cog.2"],
+    "before": 0.0,
+    "after": 0.05,
+    "unit": "m",
+    "change": 0.05,
+    "interval": [0.03, 0.07],
+    "relative": False,
+    "share": 0.0,
+}
+
+
+def test_what_recalibration_moved_is_said_as_in_a_workshop():
+    assert wording.moved_words(MOVED) == "rear damper, both ways: 49 % weaker (44 to 55)"
+    assert wording.moved_words(HIGHER) == "cog 2: 5 cm higher (3 cm to 7 cm)"
+    assert "softer" in wording.moved_words({**MOVED, "characteristic": "front spring rate"})
+    found = document(
+        "recalibration", probability=0.6, combination=[], recalibrated=[MOVED, HIGHER], no_gap_probability=0.6
+    )
+    assert wording.answer(found) == (
+        "More likely than not (60 %): no effect is missing, but the twin's own values are off: rear damper, both ways: "
+        "49 % weaker (44 to 55) and cog 2: 5 cm higher (3 cm to 7 cm)."
+    )
+    text = " ".join(wording.remarks(found))
+    assert "49 % weaker (44 to 55), which closes 90 % of it alone." in text and "7 cm)." in text
+    assert "a reference drive from before the gap tells which" in text
+    text = " ".join(wording.remarks({**found, "reference": True}))
+    assert "the file was off before the gap came" in text
+
+
+def test_a_size_that_may_be_none_is_not_said():
+    cause = {
+        "effect": "strut_friction",
+        "probability": 0.9,
+        "parameters": {"front_force": 0.5, "rear_force": 200.0},
+        "parameter_intervals": {"front_force": [0.0, 5.0], "rear_force": [150.0, 250.0]},
+    }
+    assert "front" not in wording.said(cause) and "200 N at the rear" in wording.said(cause)
+    cause["parameter_intervals"]["rear_force"] = [0.0, 250.0]  # neither is certain: both are said
+    assert "front" in wording.said(cause)
 
 
 def test_remarks_name_the_channel_the_candidates_and_what_is_not_new():

@@ -32,7 +32,8 @@ from suspension_twin.effects.tyre_pressure import EXPONENT
 from suspension_twin.inference.gap import channel_unit
 from suspension_twin.pose.local_map import LocalMap
 from suspension_twin.report import style
-from suspension_twin.report.page import Cell, Html, Lead, Mark, Page, Row, Section, Table
+from suspension_twin.report.diagnosis import VERDICT_MARKS
+from suspension_twin.report.page import Cell, Html, Lead, Page, Row, Section, Table
 from suspension_twin.report.style import COLOURS
 from suspension_twin.units import plain
 from suspension_twin.vehicle.twin import Datum
@@ -52,12 +53,16 @@ _APART, _OUTSTANDING = 25.0, 1.5
 #: Smallest change, as a share, that fills the height of a health line.
 _LEAST_RANGE = 0.2
 _LINE_WIDTH, _LINE_HEIGHT, _LINE_POINTS = 96.0, 36.0, 60
-_MARKS: dict[str, Mark] = {"effect": "warn", "partly": "warn", "no_gap": "good", "unknown": "bad"}
-_STRIP = {"no_gap": "truth", "effect": "mark", "partly": "mark", "unknown": "simulated"}
+_STRIP = dict.fromkeys(("effect", "partly", "suspected"), "mark") | dict.fromkeys(
+    ("no_gap", "recalibration"), "truth"
+)
+_STRIP["unknown"] = "simulated"
 _VERDICTS = {
     "no_gap": "no gap",
     "effect": "cause named",
     "partly": "cause named, not all",
+    "suspected": "cause suspected",
+    "recalibration": "values off",
     "unknown": "unknown cause",
 }
 _ORDER = ("damper_push", "damper_pull", "spring", "tyre", "effects.")
@@ -348,7 +353,7 @@ def _first_faulty(vehicle: _Vehicle) -> list[object]:
     last = vehicle.faults[-1]
     return [
         vehicle.name,
-        Cell(last["message"], _MARKS.get(last["verdict"], "")),
+        Cell(last["message"], VERDICT_MARKS.get(last["verdict"], "")),
         _unbroken(_day(last["date"]) or "–"),
         f"{len(vehicle.faults)} of {len(vehicle.done)}",
         _link(last),

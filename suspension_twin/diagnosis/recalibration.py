@@ -1,0 +1,257 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The findings of recalibration: characteristics and numbers of the twin file that moved beyond their uncertainty.
+
+Let x be the vehicle's coordinates as fitted without any effect, and C their posterior covariance with the likelihood
+tempered by the share of the residual that is noise:
+
+    C = (temper J^T J + P)^-1,
+
+with the Jacobian J of the whitened residuals and the precision P of the prior, whose centre is the twin as given. A
+characteristic moved if the 90 % interval of its change, over draws of N(x, C), excludes zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from suspension_twin.arrays import Floats
+from suspension_twin.calibration.labels import parameter_label, parameter_unit
+from suspension_twin.calibration.uncertainty import INTERVAL
+from suspension_twin.diagnosis.judge import Judged
+from suspension_twin.diagnosis.shrink import gap_rows
+from suspension_twin.errors import InputError
+from suspension_twin.files import Json
+from suspension_twin.inference.fit import linearised_fit, twin_of
+from suspension_twin.inference.hypothesis import BASELINE
+from suspension_twin.inference.posterior import DRAWS, Travel, span_of, travel
+from suspension_twin.inference.space import Curve, Space
+from suspension_twin.models.parameters import twin_value
+from suspension_twin.vehicle.twin import Twin
+
+__all__ = ["recalibrated"]
+
+
+@dataclass(frozen=True, eq=False)
+class _Change:
+    """A characteristic or number: the rows of its parameters in the space, ``before`` and ``after`` in ``unit``, and
+    ``draws`` (N,) of its change, relative to ``before`` where ``relative``."""
+
+    name: str
+    rows: tuple[int, ...]
+    before: float
+    after: float
+    unit: str
+    relative: bool
+    draws: Floats
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """90 % interval of the change."""
+        low, high = np.quantile(self.draws, INTERVAL)
+        return float(low), float(high)
+
+    @property
+    def moved(self) -> bool:
+        """Whether the interval excludes zero."""
+        low, high = self.interval
+        return low > 0.0 or high < 0.0
+
+    @property
+    def change(self) -> float:
+        """The change of what is reported."""
+        return (self.after / self.before - 1.0) if self.relative else self.after - self.before
+
+
+def recalibrated(judged: Judged, given: Twin, seed: int) -> list[Json]:
+    """List the values that recalibration moved, the largest ``share`` of the gap first.
+
+    Parameters
+    ----------
+    judged : Judged
+        The fits; those of the vehicle alone are used.
+    given : Twin
+        The twin as given.
+    seed : int
+        Seed of the draws.
+
+    Returns
+    -------
+    list
+        A mapping for each: ``characteristic``, ``keys`` of the twin file, ``before`` and ``after`` in ``unit``,
+        ``change`` with its 90 % ``interval`` (relative, or in ``unit`` where the number may be zero: ``relative``), and
+        the ``share`` of the gap's mean square, of what recalibration closes, that it closes alone.
+    """
+    problem, fit = judged.problem, judged.base.found.fit
+    space, d = problem.space, problem.d
+    try:
+        known = np.array([float(twin_value(given, key)) for key in space.keys])
+    except InputError:  # the fit has points that the given file has not
+        return []
+    at = linearised_fit(problem.having(BASELINE), fit.x)
+    information = judged.temper * at.at.model.squares + problem.having(BASELINE).joint_prior()[0]
+    root = np.linalg.cholesky(np.linalg.inv(information)[:d, :d])
+    scatter = root @ np.random.default_rng(seed).standard_normal((d, DRAWS))
+    draws = space.from_slopes(fit.x[:d, None] + scatter)
+    after = twin_of(problem, fit)
+    changes = [
+        *_of_curves(space, (given, after), travel(after, problem), draws),
+        *_of_numbers(space, given, known, space.from_slopes(fit.x[:d]), draws),
+    ]
+    moved = [change for change in changes if change.moved]
+    shares = _shares(judged, space.to_slopes(np.clip(known, space.lower, space.upper)), moved)
+    found = [
+        {
+            "characteristic": one.name,
+            "keys": sorted({space.keys[r].partition(".force.")[0] for r in one.rows}),
+            "before": _digits(one.before),
+            "after": _digits(one.after),
+            "unit": one.unit,
+            "change": _digits(one.change),
+            "interval": [_digits(end) for end in one.interval],
+            "relative": one.relative,
+            "share": _digits(share),
+        }
+        for one, share in zip(moved, shares, strict=True)
+    ]
+    return sorted(found, key=lambda one: -one["share"])
+
+
+def _digits(value: float) -> float:
+    return float(f"{value:.6g}")
+
+
+def _of_curves(space: Space, twins: tuple[Twin, Twin], where: Travel, draws: Floats) -> list[_Change]:
+    """The change of each spring and damper in the range that the drives excited; both directions of a damper together
+    where they changed alike."""
+    found: list[_Change] = []
+    for curve in space.curves:
+        low, high = span_of(curve, where)
+        if not np.isfinite(high) or high <= low:
+            continue
+        one = _of_spring(curve, twins, where, (low, high), draws)
+        if curve.part != "spring":
+            one = _of_damper(curve, twins, high, draws)
+        if not one.before > 0.0:
+            continue
+        pair = found[-1] if found and curve.part == "damper_pull" else None
+        if pair is not None and pair.name == f"{_axle(curve)}damper, push" and _alike(pair, one):
+            found[-1] = _Change(
+                f"{_axle(curve)}damper, both ways",
+                pair.rows + one.rows,
+                pair.before + one.before,
+                pair.after + one.after,
+                one.unit,
+                True,
+                (pair.before * pair.draws + one.before * one.draws) / (pair.before + one.before),
+            )
+        else:
+            found.append(one)
+    return found
+
+
+def _axle(curve: Curve) -> str:
+    return f"{curve.axle} " if curve.axle else ""
+
+
+def _alike(one: _Change, other: _Change) -> bool:
+    """Whether two changes are of one sign, each beyond its uncertainty."""
+    return one.moved and other.moved and one.change * other.change > 0.0
+
+
+def _curve_draws(curve: Curve, twin: Twin, draws: Floats) -> tuple[Floats, Floats]:
+    """Abscissa (k,) and forces (k, N) of a characteristic of ``twin`` with its free points drawn."""
+    x, force = twin_value(twin, curve.key).points
+    forces = np.repeat(force[:, None], draws.shape[1], axis=1)
+    for i, row in enumerate(curve.rows):
+        if row >= 0:
+            forces[i] = draws[row]
+    return x, forces
+
+
+def _at(x: Floats, force: Floats, place: float) -> Floats:
+    """(N,) forces of curves (k, N) through the origin at one place; beyond the ends with their slope."""
+    edges, values = np.append(0.0, x), np.vstack([np.zeros((1, force.shape[1])), force])
+    i = int(np.clip(np.searchsorted(edges, place, side="right") - 1, 0, x.size - 1))
+    share = (place - edges[i]) / (edges[i + 1] - edges[i])
+    return np.asarray(values[i] + share * (values[i + 1] - values[i]))
+
+
+def _of_spring(
+    curve: Curve, twins: tuple[Twin, Twin], where: Travel, span: tuple[float, float], draws: Floats
+) -> _Change:
+    """The mean rate of a spring over the excited travel about the standing car, where each curve bears the load."""
+    x, forces = _curve_draws(curve, twins[1], draws)
+    static = where.static[curve.axle]
+    middle = twin_value(twins[1], curve.key).points[1][:, None]
+    load = float(_at(x, middle, static)[0])
+
+    def rate(x: Floats, force: Floats, standing: float) -> Floats:
+        low, high = (standing + end - static for end in span)
+        return np.asarray((_at(x, force, high) - _at(x, force, low)) / (high - low))
+
+    x0, force0 = twin_value(twins[0], curve.key).points
+    standing = float(np.interp(load, np.append(0.0, force0), np.append(0.0, x0)))
+    before = float(rate(x0, force0[:, None], standing)[0])
+    after = float(rate(x, middle, static)[0])
+    own = tuple(r for r in curve.rows if r >= 0)
+    change = rate(x, forces, static) / before - 1.0
+    return _Change(f"{_axle(curve)}spring rate", own, before, after, "N/m", True, change)
+
+
+def _of_damper(curve: Curve, twins: tuple[Twin, Twin], reached: float, draws: Floats) -> _Change:
+    """The mean force of a damper over the velocities that the drives reached."""
+    places = np.linspace(0.0, reached, 9)[1:]
+
+    def force(x: Floats, values: Floats) -> Floats:
+        return np.asarray(np.mean([_at(x, values, place) for place in places], axis=0))
+
+    before, after = (
+        float(force(x, values[:, None])[0]) for x, values in (twin_value(t, curve.key).points for t in twins)
+    )
+    x, forces = _curve_draws(curve, twins[1], draws)
+    way = curve.part.removeprefix("damper_")
+    own = tuple(r for r in curve.rows if r >= 0)
+    return _Change(
+        f"{_axle(curve)}damper, {way}",
+        own,
+        before,
+        after,
+        "N",
+        True,
+        force(x, forces) / max(before, 1e-9) - 1.0,
+    )
+
+
+def _of_numbers(space: Space, given: Twin, known: Floats, found: Floats, draws: Floats) -> list[_Change]:
+    """The change of every parameter that is no point of a characteristic."""
+    on_curve = {r for curve in space.curves for r in curve.rows}
+    changes = []
+    for row, parameter in enumerate(space.parameters):
+        if row in on_curve:
+            continue
+        before, after = float(known[row]), float(found[row])
+        relative = bool(parameter.prior.log and before > 0.0)
+        change = draws[row] / before - 1.0 if relative else draws[row] - before
+        name, unit = parameter_label(given, parameter.key), parameter_unit(parameter.key)
+        changes.append(_Change(name, (row,), before, after, unit, relative, change))
+    return changes
+
+
+def _shares(judged: Judged, given: Floats, moved: Sequence[_Change]) -> list[float]:
+    """The share of the gap that recalibration closes which each change closes alone, of its mean square in the main
+    channel: with the nuisance parameters as fitted."""
+    problem, x = judged.problem.having(BASELINE), judged.base.found.fit.x
+    lanes = np.repeat(x[:, None], 1 + len(moved), axis=1)
+    lanes[: problem.d] = given[:, None]
+    for lane, one in enumerate(moved, 1):
+        lanes[list(one.rows), lane] = x[list(one.rows)]
+    rows = gap_rows(problem)
+    compared = problem.compared(np.concatenate([lanes, x[:, None]], axis=1))[rows, 0]
+    gap = np.mean((compared - problem.measured.values[rows, 0][:, None]) ** 2, axis=0)
+    closed = float(gap[0] - gap[-1])
+    if not closed > 0.0:
+        return [0.0] * len(moved)
+    return [float(np.clip((gap[0] - value) / closed, 0.0, 1.0)) for value in gap[1:-1]]
