@@ -306,7 +306,11 @@ def _lean(evidence: dict[str, Any]) -> dict[str, Any]:
     """Evidence without what no decision uses: fitted vehicles, and where the twin file was."""
     rows = [{k: v for k, v in r.items() if k not in ("vehicle", "refined")} for r in evidence["hypotheses"]]
     base = {k: v for k, v in evidence["base"].items() if k != "vehicle"}
-    return {**{k: v for k, v in evidence.items() if k != "twin"}, "base": base, "hypotheses": rows}
+    return {
+        **{k: v for k, v in evidence.items() if k not in ("twin", "asked")},
+        "base": base,
+        "hypotheses": rows,
+    }
 
 
 def discrepancy(lines: Sequence[dict[str, Any]]) -> dict[str, float]:

@@ -18,6 +18,7 @@ from suspension_twin.calibration.request import (
     DriveFit,
     Estimate,
     NuisanceEstimate,
+    SensorEstimate,
 )
 from suspension_twin.calibration.searches import costs_of
 from suspension_twin.calibration.sensor import sensor_estimates, with_sensor
@@ -94,7 +95,7 @@ def conclude(recorder: Recorder, outcome: SearchOutcome, start: float, began: fl
         history=np.array(recorder.history).reshape(-1, 4),
         stopped=stopped,
         seconds=time.monotonic() - began,
-        warnings=(*setup.warnings, *_remarks(drives, setup, values), *_absorbed(found)),
+        warnings=(*setup.warnings, *_early(sensor), *_remarks(drives, setup, values), *_absorbed(found)),
     )
 
 
@@ -127,6 +128,16 @@ def _remarks(drives: tuple[DriveFit, ...], setup: Setup, values: Floats) -> list
         else:
             remarks.append(f"the calibrated twin is farther from {d.name} than the one it started from{tail}")
     return remarks
+
+
+def _early(sensor: tuple[SensorEstimate, ...]) -> list[str]:
+    """A warning where the sensor seems to be early, beyond its uncertainty."""
+    return [
+        f"the samples of the IMU seem to come {-1e3 * s.value:.0f} ms before they are taken ({-1e3 * s.high:.0f} to "
+        f"{-1e3 * s.low:.0f}): the positions of the receiver come late, or its clock is; {s.key} stays {s.start:g} s"
+        for s in sensor
+        if s.key == "imu.latency" and s.high < 0.0
+    ]
 
 
 def _rounded(values: Floats) -> Floats:

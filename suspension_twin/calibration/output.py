@@ -10,6 +10,7 @@ import yaml
 
 from suspension_twin import __version__
 from suspension_twin.calibration.request import CalibrationResult
+from suspension_twin.errors import WorkError
 from suspension_twin.files import Json, comment_lines, together, write_text
 from suspension_twin.vehicle.twin import save_twin
 
@@ -44,12 +45,20 @@ def write_result(result: CalibrationResult, path: Path) -> tuple[Path, Path]:
     ------
     InputError
         A file cannot be written.
+    WorkError
+        The calibrated twin is farther from its own drives than the one it started from.
 
     Examples
     --------
     >>> write_result(result, Path("calibrated.yaml"))  # doctest: +SKIP
     (PosixPath('calibrated.yaml'), PosixPath('calibrated.calibration.yaml'))
     """
+    if result.is_worse:
+        gaps = ", ".join(f"{d.name} {d.gap_before.rms:.3g} to {d.gap_after.rms:.3g}" for d in result.drives)
+        raise WorkError(
+            f"no twin is written, the calibrated one is farther from its drives than the given one ({gaps}): something "
+            "other than the free parameters is off, such as place, clock, speed or the road; diagnose says which"
+        )
     details = details_path(path)
     body = yaml.safe_dump(
         describe(result), sort_keys=False, default_flow_style=None, width=110, allow_unicode=True

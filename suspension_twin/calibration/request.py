@@ -291,6 +291,11 @@ class CalibrationResult(SearchSummary, Estimates):
     warnings: tuple[str, ...] = ()
 
     @property
+    def is_worse(self) -> bool:
+        """Whether the calibrated twin is farther from its own drives than the one it started from, all together."""
+        return sum(d.gap_after.rms**2 for d in self.drives) > sum(d.gap_before.rms**2 for d in self.drives)
+
+    @property
     def counts(self) -> dict[str, int]:
         """How many parameters have which status, those that none has left out."""
         found = {s: sum(e.status == s for e in self.estimates) for s in STATUSES}

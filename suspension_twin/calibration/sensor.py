@@ -18,7 +18,8 @@ vehicle was fitted together with x and is not fitted again without it, so what c
 given the vehicle: leaving x out adds (x - x0)² and saves 2 s², in units of the sensitivity of the signals to x
 (Mallows' Cp for one regressor that is dropped while the others are kept). The criterion is (x - x0)² > 2 s². The 90 %
 interval that is reported is wider: it holds whatever the vehicle is. A latency has to bring the twin nearer to its own
-drives besides: fitted beside an offset of the map, which no twin file has, it may be that offset's counterpart.
+drives besides: fitted beside an offset of the map, which no twin file has, it may be that offset's counterpart. A
+latency below zero is not written: the receiver's positions come late, which is no property of the sensor.
 """
 
 from __future__ import annotations
@@ -75,7 +76,8 @@ def sensor_estimates(
         (offset, s, p), (_, sigma, _) = (
             _common_clock(setup, outcome.nuisance, v, clocks) for v in (given, marginal)
         )
-        keeps = keep or not _closes(setup, outcome, clocks, offset)
+        # a sample cannot come before it is taken: what is late then is the receiver, or its clock
+        keeps = keep or start < offset or not _closes(setup, outcome, clocks, offset)
         found.append(_estimate("imu.latency", "s", start, start - offset, s, sigma, keep=keeps, p=p))
     level = _by_gravity(setup, outcome) if "tilt_roll" in names else {}
     for axis in ("roll", "pitch"):

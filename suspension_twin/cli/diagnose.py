@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -65,6 +66,15 @@ def command(
             show_default=False,
         ),
     ] = None,
+    add: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--add",
+            help="Go on with the diagnosis in --out, with this drive that shows the gap beside the others; repeatable.",
+            metavar="BAG",
+            show_default=False,
+        ),
+    ] = None,
     costs: Annotated[
         str,
         typer.Option(
@@ -81,48 +91,59 @@ def command(
     """Where twin and car disagree, why, and what closes the gap.
 
     Writes DIR/diagnosis.json, DIR/evidence.json, DIR/report.html and DIR/twin.yaml, the twin with what was found
-    added. With --from-evidence alone it prints the answer; with --out it writes diagnosis.json and twin.yaml, too.
-    After an interruption the same command goes on where it was.
+    added. With --add it goes on with the diagnosis in DIR, one drive more. With --from-evidence alone it prints the
+    answer; with --out it writes diagnosis.json and twin.yaml, too. After an interruption the same command goes on where
+    it was.
     """
     from suspension_twin.diagnosis.decision import Costs
 
     table = Costs.parsed(costs)
+    kept = "--add" if add else "--from-evidence"
+    if (add or from_evidence is not None) and (
+        twin or bags or reference or (add and from_evidence is not None)
+    ):
+        raise InputError(kept, "takes neither --twin nor other drives: they are those of the diagnosis")
     if from_evidence is not None:
-        if twin or bags or reference:
-            raise InputError(
-                "--from-evidence", "takes neither --twin nor drives: they are those of the diagnosis"
-            )
         _anew(from_evidence, table, out, force)
         return
-    if twin is None or not bags or out is None:
-        raise InputError("--twin" if twin is None else "--out" if bags else "BAG", "is missing")
+    if not add and (twin is None or not bags):
+        raise InputError("--twin" if twin is None else "BAG", "is missing")
+    if out is None:
+        raise InputError("--out", "is missing")
     folder = out / ".state"
     page, *others = (out / name for name in ("report.html", "diagnosis.json", "evidence.json", "twin.yaml"))
-    outputs = Outputs(*others, page, force=force, resumed_from=folder)
-    from suspension_twin.diagnosis.answer import write
+    outputs = Outputs(*others, page, force=force or bool(add), resumed_from=folder)
+    from suspension_twin.diagnosis.answer import continued, write
     from suspension_twin.diagnosis.request import DiagnosisRequest
     from suspension_twin.diagnosis.run import diagnose
     from suspension_twin.inference.checkpoint import Checkpoint
     from suspension_twin.report.diagnosis import diagnosis_page
     from suspension_twin.vehicle.twin import load_twin
 
-    request = DiagnosisRequest(
-        str(twin),
-        tuple(map(str, bags)),
-        tuple(map(str, reference or ())),
-        seed,
-        checked_effects(effect),
-        costs=table,
-        state=str(folder),
-    )
+    earlier = None
+    if add:
+        request, earlier = continued(out, add, table)
+        request = replace(request, state=str(folder))
+    else:
+        request = DiagnosisRequest(
+            str(twin),
+            tuple(map(str, bags or ())),
+            tuple(map(str, reference or ())),
+            seed,
+            checked_effects(effect),
+            costs=table,
+            state=str(folder),
+        )
     store = Checkpoint(folder, "", "a diagnosis")  # refuses a folder that holds no checkpoints
-    load_twin(twin)
+    load_twin(request.twin)
     outputs.announce()
     with outputs, ProgressLine() as line:
         result = diagnose(
             request,
             lambda step: line.show(": ".join(filter(None, (step.stage, step.note))), step.done),
         )
+        if earlier is not None:
+            result.document["earlier"] = earlier
         with together():
             write(result, out)
             diagnosis_page(result).write(page)

@@ -5,18 +5,19 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from suspension_twin.diagnosis import wording
 from suspension_twin.diagnosis.decision import Costs, Decision, decide, single, usual_level
-from suspension_twin.diagnosis.request import DiagnosisResult
+from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult
 from suspension_twin.errors import InputError
 from suspension_twin.files import Json, reading, write_text
 from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin, save_twin
 
-__all__ = ["answer_of", "decided_anew", "leading_channel", "rounded", "write", "write_document"]
+__all__ = ["answer_of", "continued", "decided_anew", "leading_channel", "rounded", "write", "write_document"]
 
 #: Keys of diagnosis.json that a decision made anew keeps: they depend on the drives alone.
 _KEPT = ("where", "warnings", "next_experiment")
@@ -215,6 +216,29 @@ def decided_anew(folder: Path, costs: Costs) -> tuple[Json, Twin | None]:
         document["before_and_after"] = True
     document["seed"], document["message"] = evidence["seed"], wording.message(document)
     return document, twin
+
+
+def continued(folder: Path, more: Sequence[Path], costs: Costs) -> tuple[DiagnosisRequest, Json]:
+    """The request of a kept diagnosis with more drives that show the gap, and the answer before them.
+
+    Raises
+    ------
+    InputError
+        The folder holds no diagnosis, or one of another version.
+    """
+    evidence, before = (_read(folder / name) for name in ("evidence.json", "diagnosis.json"))
+    with reading(folder / "evidence.json", "evidence of a diagnosis"):
+        asked = evidence["asked"]
+        request = DiagnosisRequest(
+            str(evidence["twin"]),
+            (*asked["bags"], *map(str, more)),
+            tuple(asked["reference"]),
+            int(evidence["seed"]),
+            tuple(asked["effects"]),
+            costs=costs,
+        )
+        earlier = {"verdict": before["verdict"], "answer": wording.answer(before)}
+    return request, earlier
 
 
 def kept_row(evidence: Json, decision: Decision) -> Json | None:

@@ -43,7 +43,13 @@ __all__ = ["conclude"]
 
 def conclude(request: DiagnosisRequest, case: Case, judged: Judged, seconds: float) -> DiagnosisResult:
     """The document of diagnosis.json, its evidence, the twin with what was found, and what the report shows."""
-    rows = {"twin": str(Path(request.twin).resolve()), **evidence_of(case, judged, request.seed)}
+    bags, reference = ([str(Path(b).resolve()) for b in own] for own in (request.bags, request.reference))
+    asked = {"bags": bags, "reference": reference, "effects": list(request.effects)}
+    rows = {
+        "twin": str(Path(request.twin).resolve()),
+        "asked": asked,
+        **evidence_of(case, judged, request.seed),
+    }
     add_intervals(case, judged, rows)
     rows["base"]["recalibrated"] = recalibrated(judged, case.twin, request.seed) if case.excited else []
     decision = decide(rows, request.costs)

@@ -141,8 +141,8 @@ def _of_curves(space: Space, twins: tuple[Twin, Twin], where: Travel, draws: Flo
             found[-1] = _Change(
                 f"{_axle(curve)}damper, both ways",
                 pair.rows + one.rows,
-                pair.before + one.before,
-                pair.after + one.after,
+                0.5 * (pair.before + one.before),
+                0.5 * (pair.after + one.after),
                 one.unit,
                 True,
                 (pair.before * pair.draws + one.before * one.draws) / (pair.before + one.before),

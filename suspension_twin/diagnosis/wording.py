@@ -243,7 +243,8 @@ def answer(document: Document) -> str:
     if probability < 0.5:  # no answer is more probable than not
         return f"These drives do not settle it: {_chances(others)}."
     if verdict == "recalibration":
-        moved = listed([moved_words(one) for one in document["recalibrated"][:2]])
+        largest = [one for one in document["recalibrated"] if one["share"] >= 0.1] or document["recalibrated"]
+        moved = listed([moved_words(one) for one in largest[:2]])
         return f"{sure}: no effect is missing, but the twin's own values are off: {moved}."
     return f"{sure}: {NOTHING} that these drives could show."
 
@@ -282,6 +283,8 @@ def remarks(document: Document) -> list[str]:
     candidates = [effect_name(c) for c in document["candidates"]]
     if len(candidates) > 1:
         lines.append(f"In nine cases of ten like this one the truth is among: {', '.join(candidates)}.")
+    if "earlier" in document:
+        lines.append(f"Before the last drive: {document['earlier']['answer']}")
     if document.get("before_and_after"):
         lines.append("Not new: before and after alike.")
     weak = [effect_name(e) for e in document["cannot_be_judged"]]
@@ -298,9 +301,13 @@ def _recalibration(document: Document) -> list[str]:
         f"Recalibrated, the twin's gap falls from {r['gap_before']:.2g} to {r['gap_after']:.2g} {unit}, by "
         f"{percent(r['shrink'])} ({low} to {high} at 90 % confidence), on road that the fit has not used."
     ]
-    for one in document["recalibrated"]:
-        alone = f", which closes {percent(one['share'])} of it alone" if one["share"] >= 0.01 else ""
-        lines.append(f"{capital(moved_words(one))}{alone}.")
+    shares = [(one, float(one["share"])) for one in document["recalibrated"]]
+    lines += [
+        f"{capital(moved_words(o))}, which closes {percent(p)} of it alone." for o, p in shares if p >= 0.01
+    ]
+    others = [moved_words(one) for one, share in shares if share < 0.01]
+    if others:
+        lines.append(f"Moved as well, to little effect: {'; '.join(others)}.")
     if document.get("reference"):
         return [*lines, "The reference drives ask for the same values: the file was off before the gap came."]
     return [

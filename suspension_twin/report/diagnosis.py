@@ -162,15 +162,14 @@ def _worst(drives: Sequence[DriveView]) -> tuple[DriveView, slice] | None:
 
 
 def _recalibrated(result: DiagnosisResult) -> Section | None:
-    """Values that recalibration moved beyond its uncertainty, and where the recalibrated twin is handed on its curves."""
+    """Values that recalibration moved beyond their uncertainty, and the curves of a recalibrated twin."""
     moved = result.document.get("recalibrated", [])
     if not moved:
         return None
     rows = [
         (
             wording.capital(one["characteristic"]),
-            plain(one["before"], one["unit"], 3),
-            plain(one["after"], one["unit"], 3),
+            *(plain(one[k], one["unit"], 3) if one["unit"] else f"{one[k]:.2g}" for k in ("before", "after")),
             wording.moved_words(one).partition(": ")[2],
             wording.percent(one["share"]),
         )

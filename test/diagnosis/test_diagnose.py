@@ -150,6 +150,27 @@ def test_a_clock_offset_that_the_twin_file_has_is_no_gap(make: Any, tmp_path: Pa
     assert "time_offset" not in document["combination"]
 
 
+def test_a_diagnosis_goes_on_with_one_drive_more(
+    make: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    twin, (first, second), _ = make()
+    effects = [word for name in ("strut_friction", "time_offset") for word in ("--effect", name)]
+    assert main(["diagnose", "--add", second, "--out", str(tmp_path)]) == 2  # nothing to go on with
+    assert "evidence.json" in capsys.readouterr().err
+    assert main(["diagnose", "--twin", str(twin), first, *effects, "--out", str(tmp_path)]) == 0
+    before = json.loads((tmp_path / "diagnosis.json").read_text())
+    capsys.readouterr()
+    assert main(["diagnose", "--add", second, "--out", str(tmp_path)]) == 0
+    after, evidence = (json.loads((tmp_path / f"{n}.json").read_text()) for n in ("diagnosis", "evidence"))
+    assert [Path(bag).name for bag in evidence["asked"]["bags"]] == ["drive_0", "drive_1"]
+    assert (
+        evidence["asked"]["effects"] == ["strut_friction", "time_offset"] and evidence["case"]["drives"] == 2
+    )
+    assert after["earlier"]["verdict"] == before["verdict"]
+    assert "Before the last drive: " in capsys.readouterr().out.replace("\n", " ")
+    assert main(["diagnose", "--add", second, "--twin", str(twin), "--out", str(tmp_path)]) == 2
+
+
 @pytest.mark.long
 def test_what_only_a_decoy_explains_is_unknown_unless_it_is_asked_for(make: Any) -> None:
     case = make("progressive_spring", {f"{axle}_square": 4e7 for axle in ("front", "rear")}, reference=True)
