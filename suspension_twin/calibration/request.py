@@ -292,8 +292,10 @@ class CalibrationResult(SearchSummary, Estimates):
 
     @property
     def is_worse(self) -> bool:
-        """Whether the calibrated twin is farther from its own drives than the one it started from, all together."""
-        return sum(d.gap_after.rms**2 for d in self.drives) > sum(d.gap_before.rms**2 for d in self.drives)
+        """Whether the calibrated twin is farther from its own drives than the one it started from, all together, even
+        with the nuisances as they were found."""
+        after = sum(min(d.gap_after.rms, d.nuisance_free) ** 2 for d in self.drives)
+        return after > sum(d.gap_before.rms**2 for d in self.drives)
 
     @property
     def counts(self) -> dict[str, int]:

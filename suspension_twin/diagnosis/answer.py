@@ -40,7 +40,7 @@ def answer_of(evidence: Json, decision: Decision) -> Json:
     verdict = _verdict(case, base, decision)
     kept = _written(decision.row if decision.row is not None else base)
     left = kept["channels"][main]["written"]
-    if decision.row is None and not is_better(base, main):
+    if decision.row is None and not is_better(base):
         left = {"before": left["before"], "after": left["before"], "shrink": 0.0, "low": 0.0, "high": 0.0}
     document = {
         "verdict": verdict,
@@ -58,12 +58,12 @@ def answer_of(evidence: Json, decision: Decision) -> Json:
         "shrink_interval": [left["low"], left["high"]],
         "causes": _causes(rows, decision),
         "no_gap_probability": round(decision.no_gap, 6),
-        "recalibration_probability": round(decision.no_gap, 6) if _needed(base, main) else 0.0,
+        "recalibration_probability": round(decision.no_gap, 6) if _needed(base) else 0.0,
         "unknown_probability": round(decision.unknown, 6),
         "candidates": [_named(c) for c in decision.candidates],
         "combination": list(decision.row["effects"]) if decision.row is not None else [],
         "unexplained": rounded(1.0 - left["shrink"]),
-        "recalibration": _shrink(base["channels"][main]["written"]),
+        "recalibration": _shrink(base.get("better", base["channels"][main]["written"])),
         "recalibrated": base.get("recalibrated", []),
         "reference": bool(case["reference"]),
         "background": {
@@ -82,21 +82,21 @@ def leading_channel(row: Json) -> str:
     return str(max(row["channels"], key=lambda name: row["channels"][name]["low"]))
 
 
-def is_better(base: Json, channel: str) -> bool:
+def is_better(base: Json) -> bool:
     """Whether the recalibrated twin is better than the given one on held-out road, beyond chance."""
-    return bool(base["channels"][channel]["written"]["low"] > 0.0)
+    return bool(base.get("better", {"low": 0.0})["low"] > 0.0)
 
 
-def _needed(base: Json, channel: str) -> bool:
+def _needed(base: Json) -> bool:
     """Whether recalibration is a finding: what moved beyond its uncertainty makes the twin better."""
-    return bool(base.get("recalibrated")) and is_better(base, channel)
+    return bool(base.get("recalibrated")) and is_better(base)
 
 
 def _verdict(case: Json, base: Json, decision: Decision) -> str:
     """``effect`` where at most half of the leading channel's residual beyond the discrepancy stays, else ``partly``;
     ``suspected`` where no named cause is sure."""
     if decision.row is None:
-        needed = _needed(base, next(iter(case["channels"])))
+        needed = _needed(base)
         return "unknown" if decision.chosen else "recalibration" if needed else "no_gap"
     if not decision.sure:
         return "suspected"
@@ -246,8 +246,8 @@ def kept_row(evidence: Json, decision: Decision) -> Json | None:
     twin and something is off, or None for the given twin."""
     if decision.row is not None:
         return decision.row
-    base, main = evidence["base"], next(iter(evidence["case"]["channels"]))
-    wanted = is_better(base, main) if decision.chosen else _needed(base, main)
+    base = evidence["base"]
+    wanted = is_better(base) if decision.chosen else _needed(base)
     return base if wanted else None
 
 

@@ -149,6 +149,8 @@ class _Rows:
             **(clock_offsets(judged.problem, found, judged.temper) if self.case.excited else {}),
             "vehicle": _vehicle(judged.problem, one),
         }
+        if is_base:
+            row["better"] = _shrink_row(self.draws.shrinks(self.given, self._squares(one)[0])[0])
         if judged.base_since is not None:
             since = judged.base_since if is_base else one.since
             over = None if is_base else judged.base_since

@@ -1,13 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The findings of recalibration: characteristics and numbers of the twin file that moved beyond their uncertainty.
 
-Let x be the vehicle's coordinates as fitted without any effect, and C their posterior covariance with the likelihood
-tempered by the share of the residual that is noise:
-
-    C = (temper J^T J + P)^-1,
-
-with the Jacobian J of the whitened residuals and the precision P of the prior, whose centre is the twin as given. A
-characteristic moved if the 90 % interval of its change, over draws of N(x, C), excludes zero.
+A characteristic moved if the 90 % interval of its change excludes zero, over draws of the vehicle's coordinates about
+their fit without any effect. Their covariance is that of the intervals of effects (``cross_validation.covariance_of``).
 """
 
 from __future__ import annotations
@@ -24,6 +19,7 @@ from suspension_twin.diagnosis.judge import Judged
 from suspension_twin.diagnosis.shrink import gap_rows
 from suspension_twin.errors import InputError
 from suspension_twin.files import Json
+from suspension_twin.inference.cross_validation import covariance_of
 from suspension_twin.inference.fit import linearised_fit, twin_of
 from suspension_twin.inference.hypothesis import BASELINE
 from suspension_twin.inference.posterior import DRAWS, Travel, span_of, travel
@@ -91,8 +87,11 @@ def recalibrated(judged: Judged, given: Twin, seed: int) -> list[Json]:
     except InputError:  # the fit has points that the given file has not
         return []
     at = linearised_fit(problem.having(BASELINE), fit.x)
-    information = judged.temper * at.at.model.squares + problem.having(BASELINE).joint_prior()[0]
-    root = np.linalg.cholesky(np.linalg.inv(information)[:d, :d])
+    covariance = covariance_of(problem, at, judged.blocks, judged.temper)[:d, :d]
+    # not wider than the prior, which the division by the temper may exceed where the drives say nothing
+    prior = np.diag(np.linalg.inv(problem.having(BASELINE).joint_prior()[0]))[:d]
+    narrower = np.minimum(np.sqrt(prior / np.diag(covariance)), 1.0)
+    root = np.linalg.cholesky(covariance * np.outer(narrower, narrower) + 1e-14 * np.eye(d))
     scatter = root @ np.random.default_rng(seed).standard_normal((d, DRAWS))
     draws = space.from_slopes(fit.x[:d, None] + scatter)
     after = twin_of(problem, fit)

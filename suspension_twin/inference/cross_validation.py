@@ -30,6 +30,7 @@ __all__ = [
     "Evidence",
     "NuisancePenalty",
     "blocks_of",
+    "covariance_of",
     "evidence",
     "held_out",
     "intervals",
@@ -264,21 +265,27 @@ def evidence(problem: Problem, fit: LinearisedFit, blocks: Blocks, linear: bool 
     return Evidence(plain, score, float(occam), level, out.residual, out.unknowns, float(fitted), penalty)
 
 
-def intervals(problem: Problem, fit: LinearisedFit, blocks: Blocks, temper: float) -> Floats:
-    """(k, 2) 90 % intervals of the effects' parameters, in their units and inside their bounds.
+def covariance_of(problem: Problem, fit: LinearisedFit, blocks: Blocks, temper: float) -> Floats:
+    """(p, p) covariance of all unknowns of a fit.
 
     Clustered sandwich covariance over blocks (White 1982): H^-1 (sum_b g_b g_b^T + P) H^-1 with the gradient g_b of
     each block. Model discrepancy is correlated over blocks and does not average out: the covariance is divided by
     ``temper``, the share of the remaining residual that is noise.
     """
     precision, _ = problem.having(fit.hypothesis).joint_prior()
-    jacobian, p = fit.at.jacobian, problem.shared
     inverse: Floats = np.asarray(linalg.inv(fit.at.model.squares + precision))
     pulls: Floats = np.stack(
-        [np.bincount(blocks.row, column * fit.at.residual, blocks.count) for column in jacobian.T], axis=1
+        [np.bincount(blocks.row, column * fit.at.residual, blocks.count) for column in fit.at.jacobian.T],
+        axis=1,
     ).astype(np.float64)
-    covariance = inverse @ (pulls.T @ pulls + precision) @ inverse
-    away = norm.ppf(0.95) * np.sqrt(np.maximum(np.diag(covariance)[p:], 0.0) / temper)
+    return np.asarray(inverse @ (pulls.T @ pulls + precision) @ inverse / temper)
+
+
+def intervals(problem: Problem, fit: LinearisedFit, blocks: Blocks, temper: float) -> Floats:
+    """(k, 2) 90 % intervals of the effects' parameters, in their units and inside their bounds."""
+    p = problem.shared
+    variance = np.diag(covariance_of(problem, fit, blocks, temper))[p:]
+    away = norm.ppf(0.95) * np.sqrt(np.maximum(variance, 0.0))
     low, high = fit.hypothesis.bounds()
     u = np.clip(fit.x[p:, None] + np.stack([-away, away], axis=1), low[:, None], high[:, None])
     return np.sort(fit.hypothesis.values(u), axis=1)

@@ -19,6 +19,7 @@ from suspension_twin.calibration.run import calibrate
 from suspension_twin.calibration.sensor import common_offset, sensor_estimates
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.write import write_drive
+from suspension_twin.errors import WorkError
 from suspension_twin.inference.sensor_correction import SensorCorrection
 from suspension_twin.inference.simulated import simulate_drive
 from suspension_twin.inference.synthetic import SensorErrors, synthetic_drive
@@ -127,6 +128,37 @@ def test_a_calibration_goes_on_from_the_latency_of_the_file(
 
 
 # -- one value for several drives ------------------------------------------------------------------
+
+
+def test_a_receiver_that_is_late_is_no_early_sensor(late_case: Any, tmp_path: Path) -> None:
+    """A sample cannot come before it is taken."""
+    road = load_road(Path(late_case.twin).with_name("road.crg"))
+    knots = [(0, 0), (3.2, 0), (5.5, 7), (8, 3), (10, 7), (16, 7), (18, 0), (20.5, 0)]
+    errors = SensorErrors(clock_offset=-0.012, position=0.005)
+    write_drive(synthetic_drive(late_case.truth, road, knots, 11, errors, name="early"), tmp_path / "early")
+    found = calibrate(CalibrationRequest(late_case.twin, (str(tmp_path / "early"),), seed=1))
+    (latency,) = [s for s in found.sensor if s.key == "imu.latency"]
+    assert latency.value == pytest.approx(-0.012, abs=4e-3)
+    assert not latency.written and found.twin.imu.latency == 0.0
+    (said,) = [w for w in found.warnings if "imu.latency stays" in w]
+    assert "before they are taken" in said
+
+
+def test_no_twin_is_written_that_is_farther_from_its_drives(
+    result: CalibrationResult, tmp_path: Path
+) -> None:
+    (drive,) = result.drives
+    assert not result.is_worse
+    worse = replace(drive, gap_after=replace(drive.gap_after, rms=2.0 * drive.gap_before.rms))
+    assert not replace(result, drives=(worse,)).is_worse  # not with the drive's own clock and place
+    worse = replace(worse, nuisance_free=1.5 * drive.gap_before.rms)
+    assert (
+        replace(result, drives=(worse,)).is_worse
+        and not replace(result, drives=(worse, drive, drive, drive)).is_worse
+    )
+    with pytest.raises(WorkError, match="no twin is written.*learnt"):
+        write_result(replace(result, drives=(worse,)), tmp_path / "twin.yaml")
+    assert not list(tmp_path.iterdir())
 
 
 def test_offsets_that_agree_have_their_weighted_mean() -> None:
