@@ -16,10 +16,12 @@ from suspension_twin.calibration.recorder import Recorder, SearchOutcome
 from suspension_twin.inference.objectives import Objective
 from suspension_twin.inference.problem import Interrupted, Problem
 
-__all__ = ["costs_of", "run_evolution", "run_genetic", "synchronised"]
+__all__ = ["BATCH", "costs_of", "run_evolution", "run_genetic", "synchronised"]
 
-#: CMA-ES: first step in slope coordinates (a logarithm), population, and generations at most.
-_STEP, _POPULATION, _GENERATIONS = 0.3, 24, 300
+#: Candidates that are simulated together: the population of CMA-ES, and random starts.
+BATCH = 24
+#: CMA-ES: first step in slope coordinates (a logarithm), and generations at most.
+_STEP, _GENERATIONS = 0.3, 300
 _SYNC_STEP, _SYNC_LIMIT = 1e-3, 0.1  # s, of a clock offset
 
 
@@ -126,8 +128,8 @@ def run_evolution(recorder: Recorder) -> SearchOutcome:
         return costs_of(problem, objective, space.from_slopes(points.T), quiet, synchronise=True)
 
     generations = recorder.request.max_generations or _GENERATIONS
-    search = CmaSearch(space.z0, _STEP, recorder.request.seed, _POPULATION, generations)
-    done = _advance(recorder, "evolution", search, costs, float(_POPULATION * generations))
+    search = CmaSearch(space.z0, _STEP, recorder.request.seed, BATCH, generations)
+    done = _advance(recorder, "evolution", search, costs, float(BATCH * generations))
     x, cost = search.best_point
     return _outcome(recorder, space.from_slopes(x), cost, done)
 

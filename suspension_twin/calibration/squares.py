@@ -15,19 +15,18 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.recorder import Recorder, SearchOutcome, SquaresFit
-from suspension_twin.calibration.searches import costs_of
+from suspension_twin.calibration.searches import BATCH, costs_of
 from suspension_twin.calibration.setup import Setup
 from suspension_twin.inference.checkpoint import State
 from suspension_twin.inference.gauss_newton import GaussNewton, GaussNewtonSettings, Quadratic
 from suspension_twin.inference.noise import NEAR_FLOOR, Whitener
 from suspension_twin.inference.posterior import travel
 from suspension_twin.inference.problem import Interrupted, Problem
-from suspension_twin.inference.spring_position import standing_at
+from suspension_twin.inference.spring_position import FARTHEST, standing_at
 
 __all__ = ["LIKELIHOOD", "in_floors", "moved", "run_squares"]
 
 _EXPECTED = 700.0  # evaluations, for the time left
-_STARTS = 24
 #: Weight of the prior beside an objective that was asked for by name.
 _FAINT = 1e-3
 #: Residuals in floors (the median of the channels) up to which no other corner is tried.
@@ -36,7 +35,7 @@ _AT_FLOOR = 1.3
 _PLACE_CLOCK, _PLACE_MAP = 2e-3, 2e-2
 #: Standard deviations of the random restarts of a search with a named objective.
 _SHAKES = (2.0, 4.0, 4.0)
-_FARTHEST_CORNER, _NEAREST_CORNER = 0.15, 0.003  # m
+_NEAREST_CORNER = 0.003  # m
 
 
 @dataclass(frozen=True)
@@ -154,14 +153,14 @@ class _Fit:
         """Start from the best of two dozen stiffer, softer, harder and weaker versions of the preset."""
         space = self.base.space
         rng = np.random.default_rng(self.recorder.request.seed)
-        starts = np.repeat(space.z0[:, None], _STARTS, axis=1)
+        starts = np.repeat(space.z0[:, None], BATCH, axis=1)
         for curve in space.curves:
             rows = [r for r in curve.rows if r >= 0]
-            starts[rows] += 0.4 * rng.standard_normal(_STARTS)
+            starts[rows] += 0.4 * rng.standard_normal(BATCH)
         starts[:, 0] = space.z0
         objective = self.recorder.setup.objective
         costs = costs_of(self.base, objective, space.from_slopes(starts), self.x[self.d :])
-        self.recorder.evaluations += _STARTS
+        self.recorder.evaluations += BATCH
         best = int(np.argmin(costs))
         if costs[best] < 0.8 * costs[0]:
             self.x[: self.d] = starts[:, best]
@@ -224,10 +223,10 @@ class _Fit:
         scaled = information * unit[:, None] * unit[None, :] + 1e-9 * np.eye(unit.size)
         root = unit[:, None] * np.linalg.cholesky(np.linalg.inv(scaled))
         rng = np.random.default_rng((self.recorder.request.seed, number))
-        draws = rng.standard_normal((self.x.size, _STARTS))
+        draws = rng.standard_normal((self.x.size, BATCH))
         starts = self.x[:, None] + _SHAKES[number] * np.einsum("ij,jn->in", root, draws, optimize=False)
         costs = self.problem.sums_of_squares(starts)
-        self.recorder.evaluations += 1 + self.d + _STARTS
+        self.recorder.evaluations += 1 + self.d + BATCH
         return np.asarray(starts[:, int(np.argmin(costs))])
 
     def _note(self, solver: GaussNewton, planned: _Round, scale: float) -> None:
@@ -263,7 +262,7 @@ class _Fit:
         values = self.base.space.from_slopes(self.x[: self.d])
         where = travel(self.base.space.applied(self.recorder.setup.twin, values), self.problem)
         static = where.static[curve.axle]
-        if not _NEAREST_CORNER < abs(curve.x[corner] - static) < _FARTHEST_CORNER:
+        if not _NEAREST_CORNER < abs(curve.x[corner] - static) < FARTHEST:
             return None
         moved = self.x.copy()
         moved[rows] = standing_at(curve.x, self.x[rows], static, corner)

@@ -68,7 +68,7 @@ class GaussNewtonSettings:
     steps in coordinates that the data hardly excite without limiting the others. ``shortened``: share of the step of
     the current damping that is tried as well, 0 for none. ``relaxed``: factor on the damping after a success, None for
     the damping that succeeded. ``raised``: factor after a failure. The search ends where the undamped step (0 in the
-    ladder) is predicted to lower the cost by less than ``worthwhile``.
+    ladder) is predicted to lower the cost by less than ``absolute``.
     """
 
     iterations: int = 30
@@ -84,7 +84,6 @@ class GaussNewtonSettings:
     shortened: float = 0.0
     relaxed: float | None = None
     raised: float = 1e4
-    worthwhile: float = 0.0
 
 
 #: For whitened residuals. The prior damps a step 1e4 times more than the curvature does, so that a parameter that the
@@ -101,7 +100,6 @@ WHITENED = GaussNewtonSettings(
     shortened=0.3,
     relaxed=0.3,
     raised=100.0,
-    worthwhile=0.3,
 )
 
 
@@ -222,7 +220,7 @@ class GaussNewton(Descent):
             self.finished = self.damping > s.largest_damping or self.iteration >= s.iterations
 
     def _candidates(self, hessian: Floats, gradient: Floats) -> Floats | None:
-        """(p, S) candidates of the ladder of dampings; None where the predicted decrease is not ``worthwhile``."""
+        """(p, S) candidates of the ladder of dampings; None where the predicted decrease is below ``absolute``."""
         s = self.settings
         low, high = self.room(self.x)
         weight = np.diag(hessian) + s.prior_damping * np.diag(self.precision)
@@ -230,7 +228,7 @@ class GaussNewton(Descent):
         for factor in s.ladder:
             damped = hessian + self.damping * factor * np.diag(weight)
             step = bounded_step(damped, gradient[:, None], low, high)[:, 0]
-            if factor == 0.0 and -2.0 * float(gradient @ step + 0.5 * step @ hessian @ step) < s.worthwhile:
+            if factor == 0.0 and -2.0 * float(gradient @ step + 0.5 * step @ hessian @ step) < s.absolute:
                 return None
             step *= min(1.0, s.largest_step / max(float(np.abs(step).max()), 1e-300))
             found.append(self.x + step)

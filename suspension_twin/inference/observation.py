@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel
 
-from suspension_twin.arrays import Floats
+from suspension_twin.arrays import Floats, interpolated
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
 from suspension_twin.inference.gap import CHANNELS, Gap, main_channel, measure_gap
@@ -409,7 +409,7 @@ class Observation:
         path = source.trajectory
         later = np.clip(path.t + seconds, path.t[0], path.t[-1])
         names = [f.name for f in fields(Trajectory) if f.name not in ("t", "valid")]
-        columns = {name: np.interp(later, path.t, getattr(path, name)) for name in names}
+        columns = {name: interpolated(later, path.t, getattr(path, name)) for name in names}
         if metres:
             with np.errstate(invalid="ignore"):
                 sense = np.sign(np.gradient(source.road.xy_to_uv(path.x, path.y)[0], path.t))

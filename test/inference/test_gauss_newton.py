@@ -389,13 +389,11 @@ def test_a_search_ends_where_the_undamped_step_is_not_worth_it() -> None:
     """It is predicted to lower the cost by g^T H^-1 g."""
     predicted = float(SLOPE @ np.linalg.solve(SQUARES, SLOPE))
     for worthwhile, tried in ((1.001 * predicted, 0), (0.999 * predicted, 1)):
-        settings = GaussNewtonSettings(ladder=(0.0, 1.0), worthwhile=worthwhile, iterations=1)
+        settings = GaussNewtonSettings(ladder=(0.0, 1.0), absolute=worthwhile, iterations=1)
         solver, told = scripted(settings, 60.0)
         solver.run()
         assert len(told.tried) == tried and solver.finished and solver.iteration == 1
-    damped, told = scripted(
-        GaussNewtonSettings(ladder=(1.0,), worthwhile=1e3 * predicted, iterations=1), 60.0
-    )
+    damped, told = scripted(GaussNewtonSettings(ladder=(1.0,), absolute=1e3 * predicted, iterations=1), 60.0)
     damped.run()
     assert len(told.tried) == 1  # without an undamped step nothing is predicted
 
