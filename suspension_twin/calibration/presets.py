@@ -64,13 +64,15 @@ class Judgement:
 @dataclass(frozen=True, kw_only=True)
 class FreeNumbers:
     """Numbers that are free: the points of the characteristics, on the car paper's ``table_2``, and ``also`` some keys;
-    or ``keys`` instead, of a vehicle that has them. ``refined``: springs get points about the standing car where they
-    have few, and the car gets links."""
+    or ``keys`` instead, of a vehicle that has them. ``reach``: by which factor a point may move either way where
+    nobody gave bounds. ``refined``: springs get points about the standing car where they have few, and the car gets
+    links."""
 
     table_2: bool
     refined: bool = False
     also: tuple[str, ...] = ()
     keys: tuple[str, ...] = ()
+    reach: float = TABLES.point.reach
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,6 +132,7 @@ PRESETS: Mapping[str, Preset] = {
         pattern=PatternSettings(evaluations=0),
         keys=tuple(f"vehicle.{key}" for key in BOUNDS),
         slowest=True,
+        reach=TABLES.tracked_search.reach,
     ),
 }
 
@@ -270,7 +273,7 @@ def _parameter(twin: Twin, key: str, preset: Preset, bounds: Mapping[str, tuple[
     if curve in CURVES:
         if given is None and preset.table_2:
             given = TABLES.table_2[curve.rpartition(".")[2]].bounds[int(index)]
-        low, high = given or (nominal / TABLES.point.reach, max(nominal * TABLES.point.reach, 1.0))
+        low, high = given or (nominal / preset.reach, max(nominal * preset.reach, 1.0))
         return TABLES.point.about(key, nominal, (low, high))
     if key.startswith("effects."):
         _, name, parameter = key.split(".")

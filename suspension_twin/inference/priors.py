@@ -119,11 +119,12 @@ class RefinedSpring(Strict):
 
 
 class TrackedSearch(Strict):
-    """The tracked paper's genetic search."""
+    """The tracked paper's genetic search, and the ``reach`` of a car's characteristics in it."""
 
     population: int
     generations: int
     elite_share: float
+    reach: float
     source: str
 
 
