@@ -16,14 +16,14 @@ batch, not by candidate: every iteration tries several dampings in one batch and
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
-from typing import Any, Protocol
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.files import Json
+from suspension_twin.inference.checkpoint import stored
 
 __all__ = [
     "WHITENED",
@@ -39,6 +39,7 @@ __all__ = [
 _ROUNDS = 12  # of the active set iteration
 
 
+@stored
 @dataclass(frozen=True, eq=False)
 class Quadratic:
     """Sum of squared residuals about a point: ``value`` r^T r, ``squares`` (p, p) J^T J, ``slope`` (p,) J^T r."""
@@ -256,15 +257,3 @@ class GaussNewton(Descent):
             self.step()
             if each is not None:
                 each(self)
-
-    def state(self) -> tuple[dict[str, Floats], Json]:
-        """Arrays and plain values for ``restore``."""
-        plain = {f.name: getattr(self, f.name) for f in fields(Descent)}
-        return {"x": self.x, "centre": self.centre}, plain
-
-    def restore(self, arrays: Mapping[str, Floats], plain: Mapping[str, Any]) -> None:
-        """Continue where ``state`` was taken."""
-        self.x = np.array(arrays["x"])
-        self.centre = np.array(arrays["centre"])
-        for name, value in plain.items():
-            setattr(self, name, value)
