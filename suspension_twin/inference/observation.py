@@ -410,12 +410,13 @@ class Observation:
         path = source.trajectory
         later = np.clip(path.t + seconds, path.t[0], path.t[-1])
         columns = path.x, path.y, path.yaw, path.velocity, path.yaw_rate, path.acceleration
-        x, y, yaw, *motion = (interpolated(later, path.t, values) for values in columns)
+        x, y, yaw, velocity, turn, acceleration = (interpolated(later, path.t, values) for values in columns)
         if metres:
             with np.errstate(invalid="ignore"):
                 sense = np.sign(np.gradient(source.road.xy_to_uv(path.x, path.y)[0], path.t))
             x, y = x + metres * sense * np.cos(yaw), y + metres * sense * np.sin(yaw)
-        return _observed(replace(source, trajectory=Trajectory(path.t, x, y, yaw, *motion, path.valid)), self)
+        moved = Trajectory(path.t, x, y, yaw, velocity, turn, acceleration, path.valid)
+        return _observed(replace(source, trajectory=moved), self)
 
 
 def observe(
