@@ -89,7 +89,8 @@ def measured(folder: Path, generations: int, searches: Sequence[str]) -> dict[st
         simulate_lanes(twin, many, run, threads=threads)
         out[f"times_real_time_{threads}_threads"] = 8 * out["seconds"] / (time.perf_counter() - began)
     path, model = prepared.trajectory, live_twin(twin, road)
-    rows = np.column_stack([getattr(path, name) for name in ("t", *PoseSample._fields)]).tolist()
+    columns = [path.t, path.x, path.y, path.yaw, path.velocity, path.yaw_rate, path.acceleration]
+    rows = np.column_stack(columns).tolist()
     began = time.perf_counter()
     for t, *row in rows:
         model.step(t, PoseSample(*row))

@@ -73,7 +73,8 @@ def straight(seconds: float, rate: float = 100.0, speed: float = SPEED) -> Traje
     """Straight ahead from the origin."""
     t = np.arange(round(seconds * rate) + 1) / rate
     z = np.zeros_like(t)
-    return Trajectory(t, speed * t, z, z, z + speed, z, z, z, z, z == 0)
+    ahead = np.column_stack([z + speed, z])
+    return Trajectory(t, speed * t, z, z, ahead, z, 0 * ahead, z == 0)
 
 
 def candidates(twin: Twin, count: int) -> Floats:

@@ -90,8 +90,8 @@ def torture(tally: Tally) -> None:
         s = np.arange(round(_SECONDS * 100) + 1) / 100
         zero = np.zeros_like(s)
         path = Trajectory(
-            t=1.7e9 + s, x=speed * s, y=zero, yaw=zero, speed=zero + speed, lateral_speed=zero, yaw_rate=zero,
-            ax=zero, ay=zero, valid=np.ones(s.size, bool),
+            t=1.7e9 + s, x=speed * s, y=zero, yaw=zero, velocity=np.column_stack([zero + speed, zero]),
+            yaw_rate=zero, acceleration=np.zeros((s.size, 2)), valid=np.ones(s.size, bool),
         )  # fmt: skip
         try:
             twin, effects = _twin(rng)

@@ -1,20 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """CMA-ES (the package ``cma``) for objectives that are no sum of squares.
 
-The state of a search is its seed and the costs of every generation: a search that is asked and told
-again with them reaches the same state to the same bits. No pickle is loaded.
+A search follows from its seed and the costs of every generation: asked and told again with them, it is where it was, to
+the same bits.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.files import Json
 
 __all__ = ["CmaSearch"]
 
@@ -42,7 +39,6 @@ class CmaSearch:
             options["popsize"] = population
         self._search = cma.CMAEvolutionStrategy(start, sigma, options)
         self._asked: list[Floats] = []
-        self._costs: list[Floats] = []
         self.best_point, self.mean_cost = (start.astype(float), np.inf), np.inf
 
     def ask(self) -> Floats:
@@ -53,7 +49,6 @@ class CmaSearch:
     def tell(self, costs: Floats) -> None:
         """Adapt mean, step and covariance; a failed candidate's cost is infinite, and it ranks last."""
         finite = costs[np.isfinite(costs)]
-        self._costs.append(costs)
         self.mean_cost = float(finite.mean()) if finite.size else np.inf
         best = int(np.argmin(costs))
         if costs[best] < self.best_point[1]:
@@ -64,13 +59,3 @@ class CmaSearch:
     @property
     def finished(self) -> bool:
         return bool(self._search.stop())
-
-    def state(self) -> tuple[dict[str, Floats], Json]:
-        """Arrays and plain values for ``restore``."""
-        return {"costs": np.array(self._costs)}, {}
-
-    def restore(self, arrays: Mapping[str, Floats], plain: Mapping[str, Any]) -> None:
-        """Continue where ``state`` was taken, in a search made with the same arguments."""
-        for costs in arrays["costs"]:
-            self.ask()
-            self.tell(costs)

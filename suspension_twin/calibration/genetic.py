@@ -6,13 +6,12 @@ The paper sets five options of MATLAB's ``ga``: population 100, at most 100 gene
 children. The children come from pymoo: binary tournaments, uniform crossover (MATLAB's "scattered")
 of 0.8 of the pairs, and polynomial mutation.
 
-Everything is in unit coordinates. The search is driven from outside (``ask``/``tell``), so that
-its state can be written between generations and taken up again to the same bits.
+Everything is in unit coordinates. The search is driven from outside (``ask``/``tell``) and follows from its seed and
+the costs that it is told: told them again, it is where it was, to the same bits.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,7 +24,6 @@ from pymoo.operators.mutation.pm import PM
 from pymoo.operators.selection.tournament import TournamentSelection
 
 from suspension_twin.arrays import Floats
-from suspension_twin.files import Json
 
 __all__ = ["GaSettings", "GeneticSearch"]
 
@@ -59,10 +57,9 @@ class GeneticSearch:
     def __init__(self, dimension: int, settings: GaSettings, seed: int, start: Floats | None = None) -> None:
         self.settings = settings
         self.rng = np.random.default_rng(seed)
-        self.evaluations = 0
         self.best: list[float] = []
         self.mean: list[float] = []
-        self._x, self._costs = np.empty((0, dimension)), np.empty(0)
+        self.population, self.costs = np.empty((0, dimension)), np.empty(0)
         self._asked = self.rng.random((settings.population, dimension))
         if start is not None:
             self._asked[0] = np.clip(start, 0.0, 1.0)
@@ -73,8 +70,8 @@ class GeneticSearch:
 
     def ask(self) -> Floats:
         """The candidates of the next generation that have no cost yet."""
-        if self._costs.size:
-            parents = Population.new(X=self._x, F=self._costs[:, None])
+        if self.costs.size:
+            parents = Population.new(X=self.population, F=self.costs[:, None])
             count = self.settings.population - self.settings.elite
             children = self._mating(self._problem, parents, count, random_state=self.rng)
             self._asked = np.asarray(children.get("X"), dtype=float)
@@ -84,12 +81,11 @@ class GeneticSearch:
         """Costs (n,) in the order of ``ask``; a failed candidate's is infinite.
 
         The best parents survive as they are, and every child, however good."""
-        kept = np.argsort(self._costs, kind="stable")[: self.settings.elite]
-        self._x = np.concatenate([self._x[kept], self._asked])
-        self._costs = np.concatenate([self._costs[kept], costs])
-        self.evaluations += len(costs)
-        self.best.append(float(self._costs.min()))
-        finite = self._costs[np.isfinite(self._costs)]
+        kept = np.argsort(self.costs, kind="stable")[: self.settings.elite]
+        self.population = np.concatenate([self.population[kept], self._asked])
+        self.costs = np.concatenate([self.costs[kept], costs])
+        self.best.append(float(self.costs.min()))
+        finite = self.costs[np.isfinite(self.costs)]
         self.mean.append(float(finite.mean()) if finite.size else np.inf)
 
     @property
@@ -117,28 +113,10 @@ class GeneticSearch:
     @property
     def best_point(self) -> tuple[Floats, float]:
         """Unit coordinates and cost of the best candidate so far."""
-        i = int(np.argmin(self._costs))
-        return self._x[i].copy(), float(self._costs[i])
+        i = int(np.argmin(self.costs))
+        return self.population[i].copy(), float(self.costs[i])
 
     @property
     def mean_cost(self) -> float:
         """Mean cost of the last population, failed candidates left out."""
         return self.mean[-1]
-
-    def state(self) -> tuple[dict[str, Floats], Json]:
-        """Arrays and plain values that ``restore`` takes up again to the same bits."""
-        arrays = {
-            "population": self._x,
-            "costs": self._costs,
-            "best": np.array(self.best),
-            "mean": np.array(self.mean),
-        }
-        return arrays, {"evaluations": self.evaluations, "random": self.rng.bit_generator.state}
-
-    def restore(self, arrays: Mapping[str, Floats], plain: Mapping[str, Any]) -> None:
-        """Continue where ``state`` was taken."""
-        self._x, self._costs = np.array(arrays["population"]), np.array(arrays["costs"])
-        self.evaluations = int(plain["evaluations"])
-        self.best = [float(v) for v in arrays["best"]]
-        self.mean = [float(v) for v in arrays["mean"]]
-        self.rng.bit_generator.state = plain["random"]

@@ -9,18 +9,13 @@ little more than one; every point counts as an evaluation.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.files import Json
 
 __all__ = ["PatternSearch", "PatternSettings"]
-
-_PLAIN = ("cost", "mesh", "evaluations", "converged")
 
 
 @dataclass(frozen=True)
@@ -86,13 +81,3 @@ class PatternSearch:
     def mean_cost(self) -> float:
         """The best cost: a pattern search has no population."""
         return self.cost
-
-    def state(self) -> tuple[dict[str, Floats], Json]:
-        """Arrays and plain values for ``restore``."""
-        return {"x": self.x}, {name: getattr(self, name) for name in _PLAIN}
-
-    def restore(self, arrays: Mapping[str, Floats], plain: Mapping[str, Any]) -> None:
-        """Continue where ``state`` was taken."""
-        self.x = np.array(arrays["x"])
-        for name in _PLAIN:
-            setattr(self, name, plain[name])

@@ -47,9 +47,6 @@ TABLE_2: Mapping[str, tuple[tuple[float, ...], tuple[tuple[float, float], ...]]]
 PART_KEYS = tuple(
     key for part in OPTIONAL_PARTS.values() for key in part.keys.values() if "roll_center" not in key
 )
-#: Points of a refined spring in m of travel from the standing car, and the farthest one: a prior. Bumps of 5 to 9 cm
-#: move a multibody car's wheels by 4 to 9 cm, and what its links add grows with the square of that (docs/models.md).
-_TRAVEL, _END = (-0.06, -0.03, -0.01, 0.01, 0.03, 0.06), 0.12
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,11 +123,16 @@ PRESETS: Mapping[str, Preset] = {
         ),
         synchronise=True,
         table_2=False,
-        genetic=GaSettings(population=40, generations=30, stall_generations=30, elite_share=0.05),
+        genetic=GaSettings(
+            population=TABLES.tracked_search.population,
+            generations=TABLES.tracked_search.generations,
+            stall_generations=TABLES.tracked_search.generations,
+            elite_share=TABLES.tracked_search.elite_share,
+        ),
         pattern=PatternSettings(evaluations=0),
         keys=tuple(f"vehicle.{key}" for key in BOUNDS),
         slowest=True,
-        reach=3.0,
+        reach=TABLES.tracked_search.reach,
     ),
 }
 
@@ -167,14 +169,15 @@ def refined(twin: Twin, kept: Sequence[str] = ()) -> Twin:
     so does one of which ``kept`` names a key; twins of models without springs or links stay whole.
     """
     changes: dict[str, object] = {}
+    points = TABLES.refined_spring
     for name, suspension in twin.axles.items():
         key = f"vehicle.{name}.spring" if name else "vehicle.spring"
         x, force = suspension.part.spring.points
         static = suspension.static_compression
         if is_fine(suspension) or any(word.startswith(key) for word in kept):
             continue
-        at = static + np.array(_TRAVEL)
-        at = np.append(at[at > 0.3 * static], max(static + _END, x[-1]))
+        at = static + np.array(points.travel)
+        at = np.append(at[at > 0.3 * static], max(static + points.end, x[-1]))
         changes[f"{key}.compression"] = tuple(at.round(4).tolist())
         changes[f"{key}.force"] = tuple(_along(x, force, at.round(4)).round(2).tolist())
     if twin.model in LINKAGE.models:

@@ -1,27 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The course of a search: progress, stopping, checkpoints and resuming from them."""
+"""The course of a search: progress, stopping, and what was computed, from which a search that was stopped goes on.
+
+A search follows from its seed and from what its simulations gave. These are kept; a search that is begun again is told
+them again instead of simulating, and is then where it was, to the same bits.
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TypeVar
 
-import numpy as np
-
-from suspension_twin import __version__
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.request import CalibrationRequest, Progress
 from suspension_twin.calibration.setup import Setup
 from suspension_twin.files import Json
-from suspension_twin.inference.checkpoint import Checkpoint, State
+from suspension_twin.inference.checkpoint import Checkpoint, State, code_digest, decoded, encoded
 from suspension_twin.inference.noise import Whitener
 from suspension_twin.inference.observation import content_digest
 from suspension_twin.inference.problem import Interrupted, Problem
 
 __all__ = ["Recorder", "SearchOutcome", "SquaresFit", "fingerprint"]
 
-_SAVE_EVERY = 5  # generations
+Found = TypeVar("Found")
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,17 +52,18 @@ class SearchOutcome:
 
 
 def fingerprint(request: CalibrationRequest, setup: Setup) -> str:
-    """Digest of request, twin and data: a checkpoint is resumed only where it is the same."""
+    """Digest of code, request, twin and data: what was computed counts only where it is the same."""
     asked = replace(request, state="", bags=(), twin="", keep_sensor=False)
     twin, data = setup.twin.model_copy(update={"road": None}), setup.problem.data
     excitations = [part.excitation for part in data.parts]
-    return content_digest(__version__, asked, twin, data.measured.values, excitations)
+    code = code_digest(Path(__file__).with_name("run.py"))
+    return content_digest(code, asked, twin, data.measured.values, excitations)
 
 
 class Recorder:
     """One calibration under way. ``history`` rows: evaluations, best cost, mean cost, 0 search or 1 refine.
 
-    ``resumed`` is the state found on disk, until its stage takes it.
+    What was computed is kept in the order of the computations; what an earlier run has left comes first.
     """
 
     def __init__(
@@ -74,12 +78,13 @@ class Recorder:
         self.on_progress, self.should_stop, self.store = on_progress, should_stop, store
         self.history: list[tuple[float, float, float, float]] = []
         self.evaluations = 0
-        self.resumed = None if store is None else store.load()
-        if self.resumed is not None:
-            rows = self.resumed.arrays["history"]
-            self.history = [(float(a), float(b), float(c), float(d)) for a, b, c, d in rows]
-            self.evaluations = int(self.resumed.plain["all_evaluations"])
-        self._started, self._begun, self._saved = time.monotonic(), self.evaluations, self.generations
+        self._arrays: dict[str, Floats] = {}
+        self._kept: list[object] = []
+        self._told = self._begun = self._saved = 0
+        self._started = time.monotonic()
+        if store is not None and (state := store.load()) is not None:
+            self._arrays, self._kept = state.arrays, state.plain["kept"]
+            self._saved = state.plain["generations"]
 
     @property
     def generations(self) -> int:
@@ -100,30 +105,30 @@ class Recorder:
         if self.should_stop():
             raise Interrupted
 
+    def known(self, evaluations: int, compute: Callable[[], Found]) -> Found:
+        """The result of so many ``evaluations``: as an earlier run has kept it, or computed now."""
+        if self._told == len(self._kept):
+            self._kept.append(encoded(compute(), self._arrays))
+        else:
+            self._begun = self.evaluations + evaluations
+        self._told += 1
+        self.evaluations += evaluations
+        found: Found = decoded(self._kept[self._told - 1], self._arrays)
+        return found
+
     def report(self, refine: bool, best: float, mean: float, expected: float) -> None:
         """A generation is over; ``expected`` evaluations in all."""
         self.history.append((float(self.evaluations), best, mean, float(refine)))
+        if self.generations <= self._saved:
+            return  # an earlier run has reported it
         done = max(self.evaluations - self._begun, 1)
         left = (time.monotonic() - self._started) / done * max(expected - self.evaluations, 0.0)
         stage = "refine" if refine else "search"
         self.on_progress(Progress(stage, self.generations, self.evaluations, best, mean, left))
 
-    def save(self, stage: str, arrays: dict[str, Floats], plain: Json, now: bool = False) -> None:
-        """Write the state every few generations, or ``now``."""
-        if self.store is None or not (now or self.generations - self._saved >= _SAVE_EVERY):
-            return
-        self._saved = self.generations
-        arrays = {**arrays, "history": np.array(self.history).reshape(-1, 4)}
-        plain = {**plain, "all_evaluations": self.evaluations, "all_generations": self.generations}
-        self.store.save(State(stage, arrays, plain))
-
-    def resume(self, stage: str) -> State | None:
-        """The saved state if it is of this stage; handed out once."""
-        if self.resumed is not None and self.resumed.stage == stage:
-            state, self.resumed = self.resumed, None
-            return state
-        return None
-
-    def waits_for(self, *stages: str) -> bool:
-        """Whether the saved state is of one of these stages, so that earlier ones are over."""
-        return self.resumed is not None and self.resumed.stage in stages
+    def save(self, every: int = 1) -> None:
+        """Write what was computed, after so many generations."""
+        if self.store is not None and self.generations - self._saved >= every:
+            self._saved = self.generations
+            plain: Json = {"kept": self._kept, "generations": self.generations}
+            self.store.save(State("search", self._arrays, plain))

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -16,10 +17,13 @@ from suspension_twin.calibration.recorder import Recorder, SearchOutcome
 from suspension_twin.inference.objectives import Objective
 from suspension_twin.inference.problem import Interrupted, Problem
 
-__all__ = ["costs_of", "run_evolution", "run_genetic", "synchronised"]
+__all__ = ["BATCH", "costs_of", "run_evolution", "run_genetic", "synchronised"]
 
-#: CMA-ES: first step in slope coordinates (a logarithm), population, and generations at most.
-_STEP, _POPULATION, _GENERATIONS = 0.3, 24, 300
+#: Candidates that are simulated together: the population of CMA-ES, and random starts.
+BATCH = 24
+#: CMA-ES: first step in slope coordinates (a logarithm), and generations at most.
+_STEP, _GENERATIONS = 0.3, 300
+_SAVE_EVERY = 5  # generations of a search whose costs are few numbers
 _SYNC_STEP, _SYNC_LIMIT = 1e-3, 0.1  # s, of a clock offset
 
 
@@ -69,22 +73,19 @@ def synchronised(
 
 def _advance(
     recorder: Recorder,
-    stage: str,
+    refine: bool,
     search: GeneticSearch | PatternSearch | CmaSearch,
     costs: Callable[[Floats], Floats],
     expected: float,
 ) -> bool:
-    """Run a search to its end, resumed if there is a state of it; False if it was interrupted."""
+    """Run a search to its end; False if it was interrupted."""
     try:
-        if state := recorder.resume(stage):
-            search.restore(state.arrays, state.plain)
         while not search.finished:
             recorder.check()
             points = search.ask()
-            recorder.evaluations += len(points)
-            search.tell(costs(points))
-            recorder.report(stage == "pattern", search.best_point[1], search.mean_cost, expected)
-            recorder.save(stage, *search.state())
+            search.tell(recorder.known(len(points), partial(costs, points)))
+            recorder.report(refine, search.best_point[1], search.mean_cost, expected)
+            recorder.save(_SAVE_EVERY)
     except Interrupted:
         return False
     return True
@@ -104,14 +105,12 @@ def run_genetic(recorder: Recorder) -> SearchOutcome:
         settings = replace(settings, generations=recorder.request.max_generations)
     budget = settings.population + settings.generations * (settings.population - settings.elite)
     expected = float(budget + preset.pattern.evaluations)
-    best, done = (space.to_unit(space.nominal), np.inf), True
-    if not recorder.waits_for("pattern"):
-        genetic = GeneticSearch(len(space), settings, recorder.request.seed)
-        done = _advance(recorder, "genetic", genetic, costs, expected)
-        best = genetic.best_point if genetic.best else best
+    genetic = GeneticSearch(len(space), settings, recorder.request.seed)
+    done = _advance(recorder, False, genetic, costs, expected)
+    best = genetic.best_point if genetic.best else (space.to_unit(space.nominal), np.inf)
     if done:
         pattern = PatternSearch(*best, preset.pattern)
-        done = _advance(recorder, "pattern", pattern, costs, expected)
+        done = _advance(recorder, True, pattern, costs, expected)
         best = pattern.best_point
     return _outcome(recorder, space.from_unit(best[0]), best[1], done)
 
@@ -126,8 +125,8 @@ def run_evolution(recorder: Recorder) -> SearchOutcome:
         return costs_of(problem, objective, space.from_slopes(points.T), quiet, synchronise=True)
 
     generations = recorder.request.max_generations or _GENERATIONS
-    search = CmaSearch(space.z0, _STEP, recorder.request.seed, _POPULATION, generations)
-    done = _advance(recorder, "evolution", search, costs, float(_POPULATION * generations))
+    search = CmaSearch(space.z0, _STEP, recorder.request.seed, BATCH, generations)
+    done = _advance(recorder, False, search, costs, float(BATCH * generations))
     x, cost = search.best_point
     return _outcome(recorder, space.from_slopes(x), cost, done)
 

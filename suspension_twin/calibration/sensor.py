@@ -39,6 +39,8 @@ from suspension_twin.inference.nuisance import (
     slow_position_error,
 )
 from suspension_twin.inference.objectives import parse_objective
+from suspension_twin.inference.problem import REACH
+from suspension_twin.inference.runs import TWO_PERIODS
 from suspension_twin.inference.sensor_correction import turned
 from suspension_twin.units import STANDARD_GRAVITY
 from suspension_twin.vehicle.twin import Twin
@@ -51,11 +53,8 @@ _CP_PENALTY = 2.0
 _GRAVITY = {"lateral_acceleration": ("roll", 1.0), "longitudinal_acceleration": ("pitch", -1.0)}
 _AXES = [1, 0]  # of these channels in base_link
 _NONE = NuisancePriors()
-#: s: two periods of a body on its springs (1 Hz), beyond which residuals are independent.
-_BLOCK = 2.0
-#: Standard deviations beyond which a map's offset contradicts its prior: the usual gate of three.
-_GATE = 3.0
-_CONTRADICTION = float(chdtrc(1, _GATE**2))
+#: Probability below which two witnesses contradict each other.
+_CONTRADICTION = float(chdtrc(1, REACH * REACH))
 
 
 def sensor_estimates(
@@ -130,7 +129,7 @@ def _by_gravity(setup: Setup, outcome: SearchOutcome) -> dict[str, tuple[float, 
         for part, rows in zip(known.parts, known.rows, strict=True)
     ]
     residual = problem.measured.values + np.concatenate(taken_off) - simulated
-    size = max(1, round(_BLOCK * problem.measured.rate))
+    size = max(1, round(TWO_PERIODS * problem.measured.rate))
     starts = np.concatenate([np.arange(s.start, s.stop, size) for s in problem.measured.segments])
     count = np.diff(np.append(starts, len(residual)))
     bias, found = OF_A_CALIBRATION.force_bias, {}
@@ -193,7 +192,7 @@ def _common_clock(
         # one drive at one speed shows the sum of clock and map: what receiver and survey say of the map settles it,
         # unless the drives contradict them
         spread = map_spread(setup.drives) ** 2 + float(slow[0] ** 2 if slow.size == 1 else 0.0)
-        if mean[0] ** 2 < _GATE**2 * (v[0, 0] + spread):
+        if mean[0] ** 2 < REACH**2 * (v[0, 0] + spread):
             gain = v[:, 0] / (v[0, 0] + spread)
             mean, v = mean - gain * mean[0], v - np.outer(gain, v[0])
         mean, v = mean[1:], v[1:, 1:]

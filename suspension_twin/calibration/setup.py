@@ -34,6 +34,7 @@ from suspension_twin.inference.observation import (
     renamed,
     road_of,
 )
+from suspension_twin.inference.priors import SINGLE
 from suspension_twin.inference.problem import Data, Interrupted, Likelihood, Problem, Simulation
 from suspension_twin.inference.runs import observe_runs
 from suspension_twin.inference.space import Space
@@ -48,7 +49,6 @@ from suspension_twin.vehicle.twin import Twin, load_twin
 __all__ = ["Setup", "set_up"]
 
 _LONGEST_LAG = 1.0  # s
-_ALIKE = 1.02  # largest ratio of the speeds of repeats: drivers hold a speed within 2 % (a prior)
 _SURE = 0.02  # how much better the correlation has to become before a drive is moved in time
 
 
@@ -164,7 +164,8 @@ def _of_runs(
     preset = preset_named(request.preset)
     runs = observe_runs(twin, request.bags)
     slowest = min(float(np.abs(r.along).mean()) for r in runs)
-    fitted = [r for r in runs if not preset.slowest or float(np.abs(r.along).mean()) <= _ALIKE * slowest]
+    alike = SINGLE["repeated_speed"] * slowest
+    fitted = [r for r in runs if not preset.slowest or float(np.abs(r.along).mean()) <= alike]
     measured = [c for c in fitted[0].measured if all(c in r.measured for r in fitted)]
     channels = dict(request.channels) or {c: w for c, w in preset.channels.items() if c in measured}
     weighted = _weighted(channels or dict.fromkeys(measured, 0.0), fitted)

@@ -10,24 +10,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.recorder import Recorder, SearchOutcome, SquaresFit
-from suspension_twin.calibration.searches import costs_of
+from suspension_twin.calibration.searches import BATCH, costs_of
 from suspension_twin.calibration.setup import Setup
-from suspension_twin.inference.checkpoint import State
 from suspension_twin.inference.gauss_newton import GaussNewton, GaussNewtonSettings, Quadratic
 from suspension_twin.inference.noise import NEAR_FLOOR, Whitener
 from suspension_twin.inference.posterior import travel
 from suspension_twin.inference.problem import Interrupted, Problem
-from suspension_twin.inference.spring_position import standing_at
+from suspension_twin.inference.spring_position import FARTHEST, standing_at
 
 __all__ = ["LIKELIHOOD", "in_floors", "moved", "run_squares"]
 
 _EXPECTED = 700.0  # evaluations, for the time left
-_STARTS = 24
 #: Weight of the prior beside an objective that was asked for by name.
 _FAINT = 1e-3
 #: Residuals in floors (the median of the channels) up to which no other corner is tried.
@@ -36,7 +35,7 @@ _AT_FLOOR = 1.3
 _PLACE_CLOCK, _PLACE_MAP = 2e-3, 2e-2
 #: Standard deviations of the random restarts of a search with a named objective.
 _SHAKES = (2.0, 4.0, 4.0)
-_FARTHEST_CORNER, _NEAREST_CORNER = 0.15, 0.003  # m
+_NEAREST_CORNER = 0.003  # m
 
 
 @dataclass(frozen=True)
@@ -57,21 +56,20 @@ _SEARCH = GaussNewtonSettings(iterations=4, tolerance=1e-2)
 LIKELIHOOD = GaussNewtonSettings(iterations=15, tolerance=0.0, absolute=0.1, patience=1)
 
 
-class _Counted:
-    """The residuals of a problem for the solver, and how many candidates were simulated for them."""
+@dataclass(frozen=True, eq=False)
+class _Recorded:
+    """The residuals of a problem for the solver, in what the recorder keeps."""
 
-    def __init__(self, problem: Problem) -> None:
-        self.problem, self.evaluations = problem, 0
+    problem: Problem
+    recorder: Recorder
 
     def quadratic(self, x: Floats) -> Quadratic:
         """The quadratic model about ``x``."""
-        self.evaluations += 1 + self.problem.d
-        return self.problem.quadratic(x)
+        return self.recorder.known(1 + self.problem.d, partial(self.problem.quadratic, x))
 
     def sums_of_squares(self, x: Floats) -> Floats:
         """(L,) sums of squared residuals."""
-        self.evaluations += x.shape[1]
-        return self.problem.sums_of_squares(x)
+        return self.recorder.known(x.shape[1], partial(self.problem.sums_of_squares, x))
 
 
 def moved(problem: Problem, nuisance: Floats) -> Problem:
@@ -95,11 +93,9 @@ def run_squares(recorder: Recorder) -> SearchOutcome:
     fit = _Fit(recorder)
     stopped = False
     try:
-        if recorder.resumed is None:
-            fit.explore()
+        fit.explore()
         for planned in fit.plan():
-            # what an earlier run has found is taken up even where no generation is left
-            if recorder.out_of_generations and recorder.resumed is None:
+            if recorder.out_of_generations:
                 break
             fit.round(planned)
         fit.cost = fit.costs_at(fit.x)
@@ -141,12 +137,12 @@ class _Fit:
                 yield _Round("shake", number, _SEARCH)
         corners = [(s, j) for s, c in enumerate(self.springs) for j in range(c.x.size - 1)]
         for number, corner in enumerate(corners):
-            if self.balanced and self.recorder.resumed is None and self.floors() < _AT_FLOOR:
+            if self.balanced and self.floors() < _AT_FLOOR:
                 break
             yield _Round("hop", 2 * number, replace(_SEARCH, iterations=2), faint=False, hop=corner)
             yield _Round("hop", 2 * number + 1, _SEARCH)
         yield _Round("squares", 2, self.recorder.setup.preset.squares)
-        if self.balanced and (self.recorder.waits_for("likelihood") or self.floors() < NEAR_FLOOR):
+        if self.balanced and self.floors() < NEAR_FLOOR:
             yield _Round("likelihood", 0, LIKELIHOOD)
             yield _Round("likelihood", 1, LIKELIHOOD)
 
@@ -154,14 +150,14 @@ class _Fit:
         """Start from the best of two dozen stiffer, softer, harder and weaker versions of the preset."""
         space = self.base.space
         rng = np.random.default_rng(self.recorder.request.seed)
-        starts = np.repeat(space.z0[:, None], _STARTS, axis=1)
+        starts = np.repeat(space.z0[:, None], BATCH, axis=1)
         for curve in space.curves:
             rows = [r for r in curve.rows if r >= 0]
-            starts[rows] += 0.4 * rng.standard_normal(_STARTS)
+            starts[rows] += 0.4 * rng.standard_normal(BATCH)
         starts[:, 0] = space.z0
         objective = self.recorder.setup.objective
-        costs = costs_of(self.base, objective, space.from_slopes(starts), self.x[self.d :])
-        self.recorder.evaluations += _STARTS
+        values = space.from_slopes(starts)
+        costs = self.recorder.known(BATCH, lambda: costs_of(self.base, objective, values, self.x[self.d :]))
         best = int(np.argmin(costs))
         if costs[best] < 0.8 * costs[0]:
             self.x[: self.d] = starts[:, best]
@@ -174,29 +170,22 @@ class _Fit:
     def round(self, planned: _Round) -> None:
         """One minimisation from where the fit is, or from the corner to hop to; kept if it is better."""
         recorder = self.recorder
-        waiting = recorder.resumed
-        if waiting is not None and (waiting.stage, waiting.plain["round"]) != (planned.stage, planned.number):
-            return
-        state = recorder.resume(planned.stage)
-        start = self._take_up(state) if state else self._start(planned)
+        start = self._start(planned)
         if start is None:
             return
-        whitened = planned.stage == "likelihood"
-        if whitened and state is None:
-            self.likelihood = Whitener.of_residual(self.problem.measured, self.compared(start))
-        noise = self.likelihood if whitened else None
-        fit = _Counted(self.problem if noise is None else self.problem.weighed(noise))
-        scale = float(state.plain["scale"]) if state else self._scale(planned, start)
+        problem = self.problem
+        if planned.stage == "likelihood":
+            self.likelihood = self._whitener(start)
+            problem = problem.weighed(self.likelihood)
         centre = np.concatenate([self.base.space.z0, -self.placed])
-        solver = GaussNewton(fit, start, scale * self.precision, centre, settings=planned.settings)
-        if state is not None:
-            solver.restore({"x": start, "centre": centre}, state.plain["solver"])
+        precision = self._scale(planned, start) * self.precision
+        solver = GaussNewton(
+            _Recorded(problem, recorder), start, precision, centre, settings=planned.settings
+        )
         while not solver.finished and not recorder.out_of_generations:
             recorder.check()
-            before = fit.evaluations
             solver.step()
-            recorder.evaluations += fit.evaluations - before
-            self._note(solver, planned, scale)
+            self._note(solver, planned)
         self._pending = solver.x if planned.stage == "hop" else None
 
     _pending: Floats | None = None
@@ -216,21 +205,23 @@ class _Fit:
     def _shaken(self, number: int) -> Floats:
         """The best of two dozen draws around the fit, wide in directions of little information: local minima of
         the corners lie side by side there."""
-        at = self.problem.linearise(self.x)
-        residual, jacobian = at.residual, at.jacobian
-        scale = max(float(np.mean(residual**2)) / self.problem.measured.independent, 1e-30)
-        information = jacobian.T @ jacobian / scale + self.precision
-        unit = 1.0 / np.sqrt(np.diag(information))
-        scaled = information * unit[:, None] * unit[None, :] + 1e-9 * np.eye(unit.size)
-        root = unit[:, None] * np.linalg.cholesky(np.linalg.inv(scaled))
-        rng = np.random.default_rng((self.recorder.request.seed, number))
-        draws = rng.standard_normal((self.x.size, _STARTS))
-        starts = self.x[:, None] + _SHAKES[number] * np.einsum("ij,jn->in", root, draws, optimize=False)
-        costs = self.problem.sums_of_squares(starts)
-        self.recorder.evaluations += 1 + self.d + _STARTS
-        return np.asarray(starts[:, int(np.argmin(costs))])
 
-    def _note(self, solver: GaussNewton, planned: _Round, scale: float) -> None:
+        def drawn() -> Floats:
+            at = self.problem.linearise(self.x)
+            residual, jacobian = at.residual, at.jacobian
+            scale = max(float(np.mean(residual**2)) / self.problem.measured.independent, 1e-30)
+            information = jacobian.T @ jacobian / scale + self.precision
+            unit = 1.0 / np.sqrt(np.diag(information))
+            scaled = information * unit[:, None] * unit[None, :] + 1e-9 * np.eye(unit.size)
+            root = unit[:, None] * np.linalg.cholesky(np.linalg.inv(scaled))
+            rng = np.random.default_rng((self.recorder.request.seed, number))
+            draws = rng.standard_normal((self.x.size, BATCH))
+            starts = self.x[:, None] + _SHAKES[number] * np.einsum("ij,jn->in", root, draws, optimize=False)
+            return np.asarray(starts[:, int(np.argmin(self.problem.sums_of_squares(starts)))])
+
+        return self.recorder.known(1 + self.d + BATCH, drawn)
+
+    def _note(self, solver: GaussNewton, planned: _Round) -> None:
         """Keep a better point, report, save."""
         recorder = self.recorder
         whitened = planned.stage == "likelihood"
@@ -239,31 +230,26 @@ class _Fit:
         if cost < self.cost or (self.balanced and planned.stage not in ("hop", "shake")):
             self.x, self.cost = solver.x, cost
         recorder.report(whitened, self.cost, cost, _EXPECTED)
-        arrays = {"solver": solver.x, "x": self.x, "placed": self.placed}
-        if self.likelihood is not None:
-            noise = self.likelihood
-            arrays |= {"filters": noise.filters, "sigma": noise.sigma, "group": np.array(noise.group)}
-        plain = {"round": planned.number, "scale": scale, "cost": self.cost, "solver": solver.state()[1]}
-        recorder.save(planned.stage, arrays, plain, now=True)
+        recorder.save()
 
-    def _take_up(self, state: State) -> Floats:
-        self.x, self.placed = state.arrays["x"], state.arrays["placed"]
-        self.cost = float(state.plain["cost"])
-        self.problem = moved(self.base, self.placed) if self.placed.any() else self.base
-        if "filters" in state.arrays:
-            measured, arrays = self.base.measured, state.arrays
-            group = tuple(int(g) for g in arrays["group"])
-            self.likelihood = Whitener.with_filters(measured, group, arrays["filters"], arrays["sigma"])
-        return state.arrays["solver"]
+    def _whitener(self, x: Floats) -> Whitener:
+        """The noise as the residual at ``x`` shows it."""
+        measured = self.problem.measured
+
+        def found() -> tuple[tuple[int, ...], Floats, Floats]:
+            noise = Whitener.of_residual(measured, self.compared(x))
+            return noise.group, noise.filters, noise.sigma
+
+        return Whitener.with_filters(measured, *self.recorder.known(1, found))
 
     def _at_corner(self, spring: int, corner: int) -> Floats | None:
         """The fit with one spring's curve bent so that the vehicle stands at one of its corners."""
         curve = self.springs[spring]
         rows = list(curve.rows)
         values = self.base.space.from_slopes(self.x[: self.d])
-        where = travel(self.base.space.applied(self.recorder.setup.twin, values), self.problem)
-        static = where.static[curve.axle]
-        if not _NEAREST_CORNER < abs(curve.x[corner] - static) < _FARTHEST_CORNER:
+        twin = self.base.space.applied(self.recorder.setup.twin, values)
+        static = self.recorder.known(0, lambda: travel(twin, self.problem).static[curve.axle])
+        if not _NEAREST_CORNER < abs(curve.x[corner] - static) < FARTHEST:
             return None
         moved = self.x.copy()
         moved[rows] = standing_at(curve.x, self.x[rows], static, corner)
@@ -273,8 +259,12 @@ class _Fit:
         """Weight of the prior beside the sum of squares: the variance of an independent residual."""
         if planned.stage == "likelihood":
             return 1.0
-        residual = self.recorder.setup.objective.residuals(self.compared(start)[:, :, None])
-        variance = max(float(np.mean(residual**2)) / self.problem.measured.independent, 1e-30)
+
+        def square() -> float:
+            residual = self.recorder.setup.objective.residuals(self.compared(start)[:, :, None])
+            return float(np.mean(residual**2))
+
+        variance = max(self.recorder.known(1, square) / self.problem.measured.independent, 1e-30)
         return variance * (_FAINT if planned.faint and not self.balanced else 1.0)
 
     def _place(self) -> None:
@@ -295,18 +285,18 @@ class _Fit:
 
     def compared(self, x: Floats) -> Floats:
         """(M, C) signals at coordinates ``x``, nuisances included."""
-        self.recorder.evaluations += 1
         return self.problem.compared(x[:, None])[:, :, 0]
 
     def costs_at(self, x: Floats) -> float:
         """The objective's cost at coordinates ``x``."""
-        self.recorder.evaluations += 1
         values, objective = self.base.space.from_slopes(x[: self.d, None]), self.recorder.setup.objective
-        return float(costs_of(self.problem, objective, values, x[self.d :])[0])
+        costs = self.recorder.known(1, lambda: costs_of(self.problem, objective, values, x[self.d :]))
+        return float(costs[0])
 
     def floors(self) -> float:
         """Residual rms in units of the noise floor; the median of the channels."""
-        return in_floors(self.recorder.setup, self.problem, self.compared(self.x))
+        setup = self.recorder.setup
+        return self.recorder.known(1, lambda: in_floors(setup, self.problem, self.compared(self.x)))
 
 
 def in_floors(setup: Setup, problem: Problem, compared: Floats) -> float:

@@ -41,15 +41,14 @@ from suspension_twin.vehicle.twin import Twin
 __all__ = ["HALF_WIDTH", "INTERVAL", "Uncertainty", "assess", "curve_estimates"]
 
 #: Quantiles of the intervals.
-INTERVAL = (0.05, 0.95)
+INTERVAL = _LOW, _HIGH = (0.05, 0.95)
 #: Half the width of that interval in standard deviations of a Gaussian.
-HALF_WIDTH = float(ndtri(INTERVAL[1]))
+HALF_WIDTH = float(ndtri(_HIGH))
 #: Level of the likelihood ratio test, the interval's.
-_LEVEL = 1.0 - (INTERVAL[1] - INTERVAL[0])
+_LEVEL = _LOW + _LOW
 #: Posterior over prior variance at which data and prior are worth the same.
 _EQUAL_INFORMATION = 0.5
 _GRID = 120
-_POLISH = replace(LIKELIHOOD, iterations=12)
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,7 +227,7 @@ def _polished(
     """The optimum near ``x`` (d + q,) with the prior's ``precision``, coordinates ``fixed`` left where they are."""
     centre = np.concatenate([problem.space.z0, -placed])
     low, high = (None, None) if fixed is None else (np.where(fixed, x, side) for side in (-np.inf, np.inf))
-    solver = GaussNewton(problem.weighed(weighing), x, precision, centre, low, high, settings=_POLISH)
+    solver = GaussNewton(problem.weighed(weighing), x, precision, centre, low, high, settings=LIKELIHOOD)
     solver.run()
     return solver.x
 

@@ -17,7 +17,7 @@ import numpy as np
 import pymap3d
 from numpy.typing import NDArray
 
-from suspension_twin.arrays import Floats
+from suspension_twin.arrays import Floats, interpolated
 from suspension_twin.drive.checks import clean_drive, measured
 from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, VelocityData
 from suspension_twin.errors import InputError
@@ -206,7 +206,7 @@ def _on_common_stamps(
             f"{lost} of {force.t.size} accelerometer samples have no gyroscope beside them: left out"
         )
     t = force.t[inside]
-    rates = np.stack([np.interp(t, rate.t, rate.values[:, i]) for i in range(3)], axis=1)
+    rates = interpolated(t, rate.t, rate.values)
     notes.append(f"gyroscope: {1 / step:.1f} Hz, taken at the accelerometer's stamps")
     return replace(force, t=t, values=force.values[inside]), Series(t, rates)
 

@@ -11,7 +11,6 @@ from suspension_twin.effects.base import (
     Effect,
     Fields,
     Floats,
-    Given,
     Hook,
     KernelTerms,
     Parameter,
@@ -32,10 +31,6 @@ def _bar(w: Floats, e: int, a: int, i: int, x: float) -> tuple[float, float]:
     """Force for a difference of x m between the compressions of left and right."""
     stiffness = w[(e + _STIFFNESS + a) * WIDTH + i]
     return stiffness * x, stiffness
-
-
-def _finding(p: Given) -> str:
-    return f"the car has an anti-roll bar that its file lacks: {axles(p, '_stiffness', 'N/m')}"
 
 
 EFFECT = Effect(
@@ -60,5 +55,5 @@ EFFECT = Effect(
             stiffness=(_STIFFNESS,),
         )
     ),
-    finding=_finding,
+    finding=lambda p: f"the car has an anti-roll bar that its file lacks: {axles(p, '_stiffness', 'N/m')}",
 )

@@ -13,7 +13,6 @@ from suspension_twin.effects.base import (
     Effect,
     Fields,
     Floats,
-    Given,
     Hook,
     KernelTerms,
     Parameter,
@@ -63,10 +62,6 @@ def _read(w: Floats, e: int, c: int, i: int, h: float) -> None:
     w[(rows.SIGNAL + 6) * WIDTH + i] += more
 
 
-def _finding(p: Given) -> str:
-    return f"the body bends under the sensor, at {plain(p['frequency'], 'Hz')}"
-
-
 EFFECT = Effect(
     id="body_bending",
     title="body bending",
@@ -89,5 +84,5 @@ EFFECT = Effect(
             _FIELDS, _constants, {"after": (_bend, LANE), "stamp": (_read, LANE)}, modes=(_STIFFNESS,)
         )
     ),
-    finding=_finding,
+    finding=lambda p: f"the body bends under the sensor, at {plain(p['frequency'], 'Hz')}",
 )

@@ -10,7 +10,6 @@ from suspension_twin.effects.base import (
     Effect,
     Fields,
     Floats,
-    Given,
     Hook,
     KernelTerms,
     Parameter,
@@ -38,13 +37,6 @@ def _heat(w: Floats, e: int, c: int, i: int, h: float) -> None:
     w[(e + _HEAT) * WIDTH + i] += h * w[(e + _PACE) * WIDTH + i]
 
 
-def _finding(p: Given) -> str:
-    return (
-        f"the dampers lose {plain(p['loss'], '')} of their force as the drive goes on, "
-        f"within about {plain(p['time_constant'], 's')}"
-    )
-
-
 EFFECT = Effect(
     id="damper_fade",
     title="damper fade",
@@ -69,5 +61,8 @@ EFFECT = Effect(
         ),
         models=("full_car", "quarter_car"),
     ),
-    finding=_finding,
+    finding=lambda p: (
+        f"the dampers lose {plain(p['loss'], '')} of their force as the drive goes on, "
+        f"within about {plain(p['time_constant'], 's')}"
+    ),
 )

@@ -9,7 +9,6 @@ from suspension_twin.effects.base import (
     Effect,
     Fields,
     Floats,
-    Given,
     Hook,
     KernelTerms,
     Parameter,
@@ -47,10 +46,6 @@ def _play(w: Floats, e: int, c: int, i: int, h: float) -> None:
     w[(rows.STRUT + c) * WIDTH + i] -= loose
 
 
-def _finding(p: Given) -> str:
-    return f"the dampers have play: {axles(p, '', 'm')}"
-
-
 EFFECT = Effect(
     id="damper_play",
     title="play in the dampers",
@@ -70,5 +65,5 @@ EFFECT = Effect(
         )
     ),
     variants={"quarter_car": Variant(of_one_corner(_PARAMETERS))},
-    finding=_finding,
+    finding=lambda p: f"the dampers have play: {axles(p, '', 'm')}",
 )

@@ -14,7 +14,6 @@ from suspension_twin.effects.base import (
     Effect,
     Fields,
     Floats,
-    Given,
     Harmonic,
     Hook,
     KernelTerms,
@@ -62,10 +61,6 @@ def _hum(w: Floats, e: int, c: int, i: int, h: float) -> None:
     w[rows.PITCH_RATE * WIDTH + i] += h * pitch
 
 
-def _finding(p: Given) -> str:
-    return f"the engine shakes the body with {plain(p['force'], 'N')}"
-
-
 EFFECT = Effect(
     id="engine_order",
     title="tone of the engine",
@@ -111,5 +106,5 @@ EFFECT = Effect(
     excited_by=("the engine itself", "a smooth road", "standing still"),
     confused_with=("wheel_imbalance", "mount_resonance", "powertrain_mount"),
     hook=Hook(kernel=KernelTerms(_FIELDS, _constants, {"body": (_hum, LANE)})),
-    finding=_finding,
+    finding=lambda p: f"the engine shakes the body with {plain(p['force'], 'N')}",
 )

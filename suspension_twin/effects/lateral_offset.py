@@ -3,15 +3,11 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects.base import Effect, Given, Hook, Parameter, Prior, RoadChange, Values, more
+from suspension_twin.effects.base import Effect, Hook, Parameter, Prior, RoadChange, Values, more
 
 
 def _road(change: RoadChange, p: Values) -> None:
     change.left[:] += p["offset"]
-
-
-def _finding(p: Given) -> str:
-    return f"the car drives {more(p['offset'], 'm', 'further left', 'further right')} on the road than its pose says"
 
 
 EFFECT = Effect(
@@ -29,5 +25,7 @@ EFFECT = Effect(
     excited_by=("roads whose wheel paths differ",),
     confused_with=("corner_damper", "road_scale"),
     hook=Hook(road=_road, models=("full_car", "msd")),
-    finding=_finding,
+    finding=lambda p: (
+        f"the car drives {more(p['offset'], 'm', 'further left', 'further right')} on the road than its pose says"
+    ),
 )

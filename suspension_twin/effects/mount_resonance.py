@@ -10,7 +10,6 @@ from suspension_twin.effects.base import (
     Bools,
     Effect,
     Floats,
-    Given,
     Hook,
     Parameter,
     Prior,
@@ -26,10 +25,6 @@ def _signal(signals: Floats, t: Floats, fresh: Bools, values: Floats, state: Flo
         if values[0, i] != 0.0:
             omega, zeta = 2.0 * math.pi * values[1, i], values[2, i]
             second_order(signals, t, fresh, 2, 1, i, omega, zeta, 2.0 * zeta * omega, values[0, i], state)
-
-
-def _finding(p: Given) -> str:
-    return f"the sensor's holder rings at {plain(p['frequency'], 'Hz')}"
 
 
 EFFECT = Effect(
@@ -52,5 +47,5 @@ EFFECT = Effect(
     hook=Hook(
         signal=SignalStage(_signal, states=STATES, order=10), models=("full_car", "msd", "quarter_car")
     ),
-    finding=_finding,
+    finding=lambda p: f"the sensor's holder rings at {plain(p['frequency'], 'Hz')}",
 )

@@ -3,15 +3,11 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects.base import Effect, Given, Hook, Parameter, Prior, RoadChange, Values, plain
+from suspension_twin.effects.base import Effect, Hook, Parameter, Prior, RoadChange, Values, plain
 
 
 def _road(change: RoadChange, p: Values) -> None:
     change.ahead[:] += p["offset"]
-
-
-def _finding(p: Given) -> str:
-    return f"the road map is off by {plain(abs(p['offset']), 'm')} along the road"
 
 
 EFFECT = Effect(
@@ -27,5 +23,5 @@ EFFECT = Effect(
     excited_by=("bumps at several speeds",),
     confused_with=("time_offset (at one speed they are the same)",),
     hook=Hook(road=_road, models=("full_car", "msd")),
-    finding=_finding,
+    finding=lambda p: f"the road map is off by {plain(abs(p['offset']), 'm')} along the road",
 )

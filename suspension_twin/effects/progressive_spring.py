@@ -9,7 +9,6 @@ from suspension_twin.effects.base import (
     Effect,
     Fields,
     Floats,
-    Given,
     Hook,
     KernelTerms,
     Parameter,
@@ -47,10 +46,6 @@ def _spring(w: Floats, e: int, c: int, i: int, x: float) -> tuple[float, float]:
     return x * x * fma(square / 3.0, x, 0.5 * rise), x * (rise + square * x)
 
 
-def _finding(p: Given) -> str:
-    return "the springs get stiffer with travel than their file says"
-
-
 EFFECT = Effect(
     id="progressive_spring",
     title="progressive spring",
@@ -73,5 +68,5 @@ EFFECT = Effect(
         )
     ),
     variants={"quarter_car": Variant(of_one_corner(_PARAMETERS))},
-    finding=_finding,
+    finding=lambda _: "the springs get stiffer with travel than their file says",
 )

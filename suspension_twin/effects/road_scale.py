@@ -3,15 +3,11 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects.base import Effect, Given, Hook, Parameter, Prior, RoadChange, Values, more
+from suspension_twin.effects.base import Effect, Hook, Parameter, Prior, RoadChange, Values, more
 
 
 def _road(change: RoadChange, p: Values) -> None:
     change.scale[:] *= 1 + p["scale"]
-
-
-def _finding(p: Given) -> str:
-    return f"the road is {more(p['scale'], '', 'higher', 'lower')} than its file says"
 
 
 EFFECT = Effect(
@@ -25,5 +21,5 @@ EFFECT = Effect(
     excited_by=("every unevenness",),
     confused_with=("sensor_scale (which gravity gives away)",),
     hook=Hook(road=_road, models=("full_car", "msd")),
-    finding=_finding,
+    finding=lambda p: f"the road is {more(p['scale'], '', 'higher', 'lower')} than its file says",
 )

@@ -3,15 +3,11 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects.base import Effect, Given, Hook, Parameter, Prior, RoadChange, Values, plain
+from suspension_twin.effects.base import Effect, Hook, Parameter, Prior, RoadChange, Values, plain
 
 
 def _road(change: RoadChange, p: Values) -> None:
     change.sharpening[:] += p["sigma"]
-
-
-def _finding(p: Given) -> str:
-    return f"the road file is too smooth: it was averaged over about {plain(2.0 * p['sigma'], 'm')}"
 
 
 EFFECT = Effect(
@@ -26,5 +22,7 @@ EFFECT = Effect(
     excited_by=("short bumps", "rough road"),
     confused_with=("road_scale", "tyre_envelope (the other way round)", "sensor_bandwidth"),
     hook=Hook(road=_road, models=("full_car", "msd")),
-    finding=_finding,
+    finding=lambda p: (
+        f"the road file is too smooth: it was averaged over about {plain(2.0 * p['sigma'], 'm')}"
+    ),
 )

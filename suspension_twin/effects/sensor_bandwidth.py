@@ -12,7 +12,6 @@ from suspension_twin.effects.base import (
     Bools,
     Effect,
     Floats,
-    Given,
     Hook,
     Parameter,
     Prior,
@@ -37,10 +36,6 @@ def _lag(p: Values) -> Floats:
     return np.asarray(math.sqrt(2.0) / np.where(omega > 0.0, omega, np.inf))
 
 
-def _finding(p: Given) -> str:
-    return f"the sensor loses what is faster than {plain(p['cutoff'], 'Hz')}"
-
-
 EFFECT = Effect(
     id="sensor_bandwidth",
     title="low-pass in the sensor",
@@ -55,5 +50,5 @@ EFFECT = Effect(
         signal=SignalStage(_signal, states=6 * STATES, order=40, lag=_lag),
         models=("full_car", "msd", "quarter_car"),
     ),
-    finding=_finding,
+    finding=lambda p: f"the sensor loses what is faster than {plain(p['cutoff'], 'Hz')}",
 )

@@ -7,7 +7,6 @@ from suspension_twin.effects.base import (
     Bools,
     Effect,
     Floats,
-    Given,
     Hook,
     Parameter,
     Prior,
@@ -27,10 +26,6 @@ def _signal(signals: Floats, t: Floats, fresh: Bools, values: Floats, state: Flo
                     signals[k, axis, i] = min(max(signals[k, axis, i], -limit), limit)
 
 
-def _finding(p: Given) -> str:
-    return f"the sensor clips at {plain(p['range'], 'm/s²')}"
-
-
 EFFECT = Effect(
     id="sensor_clipping",
     title="sensor clips",
@@ -44,5 +39,5 @@ EFFECT = Effect(
     hook=Hook(
         signal=SignalStage(_signal, order=50, own_axes=True), models=("full_car", "msd", "quarter_car")
     ),
-    finding=_finding,
+    finding=lambda p: f"the sensor clips at {plain(p['range'], 'm/s²')}",
 )

@@ -7,7 +7,6 @@ from suspension_twin.effects.base import (
     Bools,
     Effect,
     Floats,
-    Given,
     Hook,
     MarkerExcitation,
     Parameter,
@@ -40,10 +39,6 @@ def _reading(signals: Floats, run: MarkerExcitation, p: Values) -> None:
 _CAMERA = (Parameter("scale", (-0.5, 1.0), Prior(0.0, 0.08), "", "gain less one"),)
 
 
-def _finding(p: Given) -> str:
-    return f"the sensor reads {more(p['scale'], '', 'too much', 'too little')}"
-
-
 EFFECT = Effect(
     id="sensor_scale",
     title="gain of the accelerometer",
@@ -60,5 +55,5 @@ EFFECT = Effect(
         gained=lambda p: 1.0 + p.get("scale", 0.0),
     ),
     variants={"tracked": Variant(_CAMERA, Hook(reading=_reading))},
-    finding=_finding,
+    finding=lambda p: f"the sensor reads {more(p['scale'], '', 'too much', 'too little')}",
 )

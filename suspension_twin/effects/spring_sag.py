@@ -7,7 +7,6 @@ from suspension_twin.effects.base import (
     CornerChange,
     Effect,
     Floats,
-    Given,
     Hook,
     Parameter,
     Prior,
@@ -35,10 +34,6 @@ def _corners(change: CornerChange, p: Values) -> None:
     change.spring[:] += p["rate"] * sag
 
 
-def _finding(p: Given) -> str:
-    return f"the springs have sagged by {axles(p, '', 'm')}"
-
-
 EFFECT = Effect(
     id="spring_sag",
     title="sagged springs",
@@ -52,5 +47,5 @@ EFFECT = Effect(
     confused_with=("sensor_tilt", "payload", "the points of the spring"),
     hook=Hook(corners=_corners, models=("full_car", "msd"), upright=True),
     variants={"quarter_car": Variant(of_one_corner(_PARAMETERS), Hook(corners=_corners, upright=True))},
-    finding=_finding,
+    finding=lambda p: f"the springs have sagged by {axles(p, '', 'm')}",
 )

@@ -4,18 +4,11 @@
 from __future__ import annotations
 
 from suspension_twin.effects._station import STATION, add, exists
-from suspension_twin.effects.base import Effect, Floats, Given, Hook, Parameter, Prior, Values, more
+from suspension_twin.effects.base import Effect, Floats, Hook, Parameter, Prior, Values, more
 
 
 def _vehicle(numbers: dict[str, Floats], p: Values) -> None:
     add(numbers, "sag", p["station"], p["sag"])
-
-
-def _finding(p: Given) -> str:
-    return (
-        f"the torsion bar of road wheel {p['station']:.0f} has set: its arm stands "
-        f"{more(p['sag'], 'rad', 'higher', 'lower')}"
-    )
 
 
 EFFECT = Effect(
@@ -32,5 +25,8 @@ EFFECT = Effect(
     excited_by=("edges of obstacles",),
     confused_with=("payload", "station_bar of another station"),
     hook=Hook(vehicle=_vehicle, models=("tracked",), possible=exists),
-    finding=_finding,
+    finding=lambda p: (
+        f"the torsion bar of road wheel {p['station']:.0f} has set: its arm stands "
+        f"{more(p['sag'], 'rad', 'higher', 'lower')}"
+    ),
 )

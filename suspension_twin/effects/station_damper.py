@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from suspension_twin.effects._station import STATION, add, exists
-from suspension_twin.effects.base import Effect, Floats, Given, Hook, Parameter, Prior, Values, changed
+from suspension_twin.effects.base import Effect, Floats, Hook, Parameter, Prior, Values, changed
 from suspension_twin.vehicle.twin import Twin
 
 
@@ -25,10 +25,6 @@ def _possible(twin: Twin, p: Mapping[str, float]) -> bool:
     return exists(twin, p) and twin.vehicle.stations[int(p["station"]) - 1].damping > 0
 
 
-def _finding(p: Given) -> str:
-    return f"the damper of road wheel {p['station']:.0f} {changed(p['change'], 'damping')}"
-
-
 EFFECT = Effect(
     id="station_damper",
     title="one odd station's damper",
@@ -40,5 +36,5 @@ EFFECT = Effect(
     excited_by=("speed over an obstacle",),
     confused_with=("station_damper of another station",),
     hook=Hook(vehicle=_vehicle, models=("tracked",), possible=_possible),
-    finding=_finding,
+    finding=lambda p: f"the damper of road wheel {p['station']:.0f} {changed(p['change'], 'damping')}",
 )

@@ -9,7 +9,6 @@ from suspension_twin.effects.base import (
     Effect,
     Fields,
     Floats,
-    Given,
     Hook,
     KernelTerms,
     Parameter,
@@ -55,10 +54,6 @@ def _friction(w: Floats, e: int, c: int, i: int, h: float) -> None:
     w[(rows.STRUT + c) * WIDTH + i] += f
 
 
-def _finding(p: Given) -> str:
-    return f"the struts stick: dry friction of {axles(p, '_force', 'N')}, at each wheel"
-
-
 EFFECT = Effect(
     id="strut_friction",
     title="dry friction in the struts",
@@ -79,5 +74,5 @@ EFFECT = Effect(
         ),
     ),
     variants={"quarter_car": Variant(of_one_corner(_PARAMETERS))},
-    finding=_finding,
+    finding=lambda p: f"the struts stick: dry friction of {axles(p, '_force', 'N')}, at each wheel",
 )

@@ -3,15 +3,11 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects.base import ClockChange, Effect, Given, Hook, Parameter, Prior, Values, more
+from suspension_twin.effects.base import ClockChange, Effect, Hook, Parameter, Prior, Values, more
 
 
 def _clock(change: ClockChange, p: Values) -> None:
     change.delay[:] += p["offset"]
-
-
-def _finding(p: Given) -> str:
-    return f"the sensor's time stamps are {more(p['offset'], 's', 'late', 'early')}"
 
 
 EFFECT = Effect(
@@ -26,5 +22,5 @@ EFFECT = Effect(
     excited_by=("bumps at several speeds", "accelerating and braking"),
     confused_with=("position_offset (at one speed they are the same)", "sensor_bandwidth"),
     hook=Hook(clock=_clock, models=("full_car", "msd", "tracked", "quarter_car")),
-    finding=_finding,
+    finding=lambda p: f"the sensor's time stamps are {more(p['offset'], 's', 'late', 'early')}",
 )

@@ -8,7 +8,6 @@ import numpy as np
 from suspension_twin.effects.base import (
     CornerChange,
     Effect,
-    Given,
     Hook,
     Parameter,
     Prior,
@@ -32,10 +31,6 @@ def _corners(change: CornerChange, p: Values) -> None:
     change.compliance[:] += by_corner(*soft)
 
 
-def _finding(p: Given) -> str:
-    return f"the rubber mounts of the dampers give way: a stiffness of {axles(p, '_stiffness', 'N/m')}"
-
-
 EFFECT = Effect(
     id="top_mount",
     title="elastic damper mount",
@@ -49,5 +44,7 @@ EFFECT = Effect(
     confused_with=("damper points at high velocity", "strut_friction", "tyre_envelope"),
     hook=Hook(corners=_corners),
     variants={"quarter_car": Variant(of_one_corner(_PARAMETERS))},
-    finding=_finding,
+    finding=lambda p: (
+        f"the rubber mounts of the dampers give way: a stiffness of {axles(p, '_stiffness', 'N/m')}"
+    ),
 )

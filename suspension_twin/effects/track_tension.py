@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from suspension_twin.effects.base import Effect, Floats, Given, Hook, Parameter, Prior, Values, more
+from suspension_twin.effects.base import Effect, Floats, Hook, Parameter, Prior, Values, more
 from suspension_twin.vehicle.tracked import BOUNDS
 
 _KEY = "vehicle.idler.setting"
@@ -14,10 +14,6 @@ _KEY = "vehicle.idler.setting"
 def _vehicle(numbers: dict[str, Floats], p: Values) -> None:
     # beyond the range in which an idler can be set a track is simply slack, or as tight as it goes
     numbers[_KEY] = np.clip(numbers[_KEY] - p["tighter"], *BOUNDS["idler.setting"])
-
-
-def _finding(p: Given) -> str:
-    return f"the track is {more(1e-3 * p['tighter'], 'm', 'tighter', 'slacker')} than its file says"
 
 
 EFFECT = Effect(
@@ -33,5 +29,7 @@ EFFECT = Effect(
     excited_by=("an approach to an obstacle", "ends of obstacles"),
     confused_with=("track_wear",),
     hook=Hook(vehicle=_vehicle, models=("tracked",)),
-    finding=_finding,
+    finding=lambda p: (
+        f"the track is {more(1e-3 * p['tighter'], 'm', 'tighter', 'slacker')} than its file says"
+    ),
 )

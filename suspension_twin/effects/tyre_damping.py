@@ -9,7 +9,6 @@ from suspension_twin.effects.base import (
     Effect,
     Fields,
     Floats,
-    Given,
     Hook,
     KernelTerms,
     Parameter,
@@ -30,10 +29,6 @@ def _damp(w: Floats, e: int, c: int, i: int, h: float) -> None:
     w[(rows.GROUND + c) * WIDTH + i] += w[(e + _DAMPING) * WIDTH + i] * closing
 
 
-def _finding(p: Given) -> str:
-    return f"the tyres damp more than their file says: {plain(p['damping'], 'N s/m')} each"
-
-
 EFFECT = Effect(
     id="tyre_damping",
     title="viscous tyre",
@@ -52,5 +47,5 @@ EFFECT = Effect(
         kernel=KernelTerms(_FIELDS, lambda p: {_DAMPING: p["damping"]}, {"tyre": (_damp, CORNER)}),
         models=("full_car", "quarter_car"),
     ),
-    finding=_finding,
+    finding=lambda p: f"the tyres damp more than their file says: {plain(p['damping'], 'N s/m')} each",
 )

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects.base import Effect, Given, Hook, Parameter, Prior, RoadChange, Values, plain
+from suspension_twin.effects.base import Effect, Hook, Parameter, Prior, RoadChange, Values, plain
 
 #: m, of a car's tyre: a load of 4 kN over a pressure of 220 kPa and a width in contact of 0.16 m is 0.114 m (a prior).
 _USUAL = 0.12
@@ -11,10 +11,6 @@ _USUAL = 0.12
 
 def _road(change: RoadChange, p: Values) -> None:
     change.patch[:] += p["length"]
-
-
-def _finding(p: Given) -> str:
-    return f"the tyres roll over short bumps with a contact patch of {plain(p['length'], 'm')}"
 
 
 EFFECT = Effect(
@@ -36,5 +32,5 @@ EFFECT = Effect(
     excited_by=("short bumps", "sharp edges"),
     confused_with=("tyre_damping", "sensor_bandwidth", "road_smoothing (the other way round)"),
     hook=Hook(road=_road, models=("full_car", "msd")),
-    finding=_finding,
+    finding=lambda p: f"the tyres roll over short bumps with a contact patch of {plain(p['length'], 'm')}",
 )

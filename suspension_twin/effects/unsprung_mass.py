@@ -3,15 +3,11 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects.base import CornerChange, Effect, Given, Hook, Parameter, Prior, Values, plain
+from suspension_twin.effects.base import CornerChange, Effect, Hook, Parameter, Prior, Values, plain
 
 
 def _corners(change: CornerChange, p: Values) -> None:
     change.wheel_mass[:] += p["mass"]
-
-
-def _finding(p: Given) -> str:
-    return f"the wheels have a mass that the file leaves out: {plain(p['mass'], 'kg')} each"
 
 
 EFFECT = Effect(
@@ -26,5 +22,5 @@ EFFECT = Effect(
     excited_by=("sharp edges", "wheel hop, 8 to 16 Hz"),
     confused_with=("damper points at high velocity", "road_smoothing", "tyre_envelope"),
     hook=Hook(corners=_corners, models=("msd",)),
-    finding=_finding,
+    finding=lambda p: f"the wheels have a mass that the file leaves out: {plain(p['mass'], 'kg')} each",
 )

@@ -14,7 +14,6 @@ from suspension_twin.effects.base import (
     Effect,
     Fields,
     Floats,
-    Given,
     Harmonic,
     Hook,
     KernelTerms,
@@ -98,11 +97,6 @@ def _touch(w: Floats, e: int, c: int, i: int, h: float) -> None:
     w[contact] = n - w[(e + _FORCE) * WIDTH + i] if n > 0.0 else n
 
 
-def _finding(p: Given) -> str:
-    # weights are sold in grams; they sit at the rim, 0.2 m from the axle
-    return f"{of_wheel(p, 'wheel')} is out of balance, by {plain(p['moment'] / 0.2 * 1e3, 'g')} at the rim"
-
-
 EFFECT = Effect(
     id="wheel_imbalance",
     title="wheel out of balance",
@@ -162,5 +156,8 @@ EFFECT = Effect(
             },
         )
     ),
-    finding=_finding,
+    # weights are sold in grams; they sit at the rim, 0.2 m from the axle
+    finding=lambda p: (
+        f"{of_wheel(p, 'wheel')} is out of balance, by {plain(p['moment'] / 0.2 * 1e3, 'g')} at the rim"
+    ),
 )

@@ -6,7 +6,6 @@ from __future__ import annotations
 from suspension_twin.effects.base import (
     Effect,
     Floats,
-    Given,
     Hook,
     Parameter,
     Prior,
@@ -37,10 +36,6 @@ def _corner(numbers: dict[str, Floats], p: Values) -> None:
     _weaken(numbers, "vehicle.damper_", p["front"])
 
 
-def _finding(p: Given) -> str:
-    return f"the dampers are worn and have lost {axles(p, '', '')} of their force"
-
-
 EFFECT = Effect(
     id="worn_dampers",
     title="worn dampers",
@@ -54,5 +49,5 @@ EFFECT = Effect(
     confused_with=("the whole damper curve", "damper_fade", "corner_damper", "semi_active_damper"),
     hook=Hook(vehicle=_vehicle, models=("full_car", "msd")),
     variants={"quarter_car": Variant(of_one_corner(_PARAMETERS), Hook(vehicle=_corner))},
-    finding=_finding,
+    finding=lambda p: f"the dampers are worn and have lost {axles(p, '', '')} of their force",
 )

@@ -16,14 +16,14 @@ batch, not by candidate: every iteration tries several dampings in one batch and
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
-from typing import Any, Protocol
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.files import Json
+from suspension_twin.inference.checkpoint import stored
 
 __all__ = [
     "WHITENED",
@@ -39,6 +39,7 @@ __all__ = [
 _ROUNDS = 12  # of the active set iteration
 
 
+@stored
 @dataclass(frozen=True, eq=False)
 class Quadratic:
     """Sum of squared residuals about a point: ``value`` r^T r, ``squares`` (p, p) J^T J, ``slope`` (p,) J^T r."""
@@ -68,7 +69,7 @@ class GaussNewtonSettings:
     steps in coordinates that the data hardly excite without limiting the others. ``shortened``: share of the step of
     the current damping that is tried as well, 0 for none. ``relaxed``: factor on the damping after a success, None for
     the damping that succeeded. ``raised``: factor after a failure. The search ends where the undamped step (0 in the
-    ladder) is predicted to lower the cost by less than ``worthwhile``.
+    ladder) is predicted to lower the cost by less than ``absolute``.
     """
 
     iterations: int = 30
@@ -84,7 +85,6 @@ class GaussNewtonSettings:
     shortened: float = 0.0
     relaxed: float | None = None
     raised: float = 1e4
-    worthwhile: float = 0.0
 
 
 #: For whitened residuals. The prior damps a step 1e4 times more than the curvature does, so that a parameter that the
@@ -101,7 +101,6 @@ WHITENED = GaussNewtonSettings(
     shortened=0.3,
     relaxed=0.3,
     raised=100.0,
-    worthwhile=0.3,
 )
 
 
@@ -222,7 +221,7 @@ class GaussNewton(Descent):
             self.finished = self.damping > s.largest_damping or self.iteration >= s.iterations
 
     def _candidates(self, hessian: Floats, gradient: Floats) -> Floats | None:
-        """(p, S) candidates of the ladder of dampings; None where the predicted decrease is not ``worthwhile``."""
+        """(p, S) candidates of the ladder of dampings; None where the predicted decrease is below ``absolute``."""
         s = self.settings
         low, high = self.room(self.x)
         weight = np.diag(hessian) + s.prior_damping * np.diag(self.precision)
@@ -230,7 +229,7 @@ class GaussNewton(Descent):
         for factor in s.ladder:
             damped = hessian + self.damping * factor * np.diag(weight)
             step = bounded_step(damped, gradient[:, None], low, high)[:, 0]
-            if factor == 0.0 and -2.0 * float(gradient @ step + 0.5 * step @ hessian @ step) < s.worthwhile:
+            if factor == 0.0 and -2.0 * float(gradient @ step + 0.5 * step @ hessian @ step) < s.absolute:
                 return None
             step *= min(1.0, s.largest_step / max(float(np.abs(step).max()), 1e-300))
             found.append(self.x + step)
@@ -258,15 +257,3 @@ class GaussNewton(Descent):
             self.step()
             if each is not None:
                 each(self)
-
-    def state(self) -> tuple[dict[str, Floats], Json]:
-        """Arrays and plain values for ``restore``."""
-        plain = {f.name: getattr(self, f.name) for f in fields(Descent)}
-        return {"x": self.x, "centre": self.centre}, plain
-
-    def restore(self, arrays: Mapping[str, Floats], plain: Mapping[str, Any]) -> None:
-        """Continue where ``state`` was taken."""
-        self.x = np.array(arrays["x"])
-        self.centre = np.array(arrays["centre"])
-        for name, value in plain.items():
-            setattr(self, name, value)

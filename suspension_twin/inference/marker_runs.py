@@ -14,11 +14,12 @@ from typing import Final
 import numpy as np
 from scipy.interpolate import make_smoothing_spline
 
-from suspension_twin.arrays import Floats
+from suspension_twin.arrays import Floats, interpolated
 from suspension_twin.drive.contents import decode_topic, topic_name
 from suspension_twin.drive.recording import read_recording
 from suspension_twin.errors import InputError
 from suspension_twin.files import reading
+from suspension_twin.inference.priors import SINGLE
 from suspension_twin.vehicle.tracked import TrackedVehicle
 
 __all__ = [
@@ -36,12 +37,13 @@ __all__ = [
 
 MARKERS: Final = ("A", "B", "C")
 RATE: Final = 50.0  # Hz, of the grid that runs are compared on
-_KINDS: Final = {"displacement_mm": 1e-3, "velocity_m_s": 1.0, "acceleration_m_s2": 1.0}
+_MOTION: Final = ("displacement", "velocity", "acceleration")
+_KINDS: Final = tuple(f"{motion}_{unit}" for motion, unit in zip(_MOTION, ("mm", "m_s", "m_s2"), strict=True))
 _POSE_TYPE: Final = "geometry_msgs/msg/PoseStamped"
 #: Hz, cut-off of the low-pass of measured and simulated signals: accelerations by photogrammetry are noise above it.
 CUTOFF: Final = 6.0
 #: Least noise (standard deviation) of displacement m, velocity m/s and acceleration m/s² of A, B, C by photogrammetry.
-FLOORS: Final = np.repeat([0.8e-3, 0.01, 0.15], 3)
+FLOORS: Final = np.repeat([SINGLE[f"marker_{kind}"] for kind in _MOTION], len(MARKERS))
 
 
 @dataclass(frozen=True)
@@ -125,12 +127,12 @@ def read_markers(path: str | Path, speed: float, *, rate: float = RATE) -> Marke
         if have and np.ptp(columns[f"{marker}_displacement_mm"]) > 5000.0:
             raise InputError(path, f"{marker}_displacement_mm", "moves by more than 5 m: is the unit mm?")
     motion = []
-    for derivative, (kind, unit) in enumerate(_KINDS.items()):
+    for derivative, kind in enumerate(_KINDS):
         values = []
         for marker, have in zip(MARKERS, seen, strict=True):
             key = f"{marker}_{kind}"
             if key in columns:
-                values.append(unit * columns[key])
+                values.append(columns[key] * (1e-3 if kind.endswith("_mm") else 1.0))
             elif have:
                 values.append(_derivative(t, 1e-3 * columns[f"{marker}_displacement_mm"], derivative))
             else:
@@ -180,9 +182,7 @@ def _resampled(
     grid = np.arange(first, np.floor(t[-1] * rate + 1e-9) + 1) / rate
     if grid.size < 20:
         raise InputError(name, f"lasts {t[-1] - t[0]:.2f} s, which is too short for a run")
-    z, v, a = (
-        low_pass(np.stack([np.interp(grid, t, column) for column in m.T], axis=1), rate) for m in motion
-    )
+    z, v, a = (low_pass(interpolated(grid, t, m), rate) for m in motion)
     return MarkerRun(grid, z, v, a, speed, name, seen)
 
 

@@ -31,6 +31,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
 from suspension_twin.errors import WorkError
 from suspension_twin.inference.objectives import Measured, Objective
+from suspension_twin.inference.priors import SINGLE
 
 __all__ = [
     "NEAR_FLOOR",
@@ -47,7 +48,7 @@ __all__ = [
 ORDER, DESIGN_ORDER = 16, 24
 SEGMENT = 256  # samples of a segment of a spectrum
 #: Model discrepancy as a share of the motion, without a reference.
-USUAL_SHARE = 0.15
+USUAL_SHARE = SINGLE["discrepancy"]
 _LEAST_SHARE, _MOST_SHARE = 0.02, 3.0
 #: Residual rms over noise rms (median of the channels) up to which the residual counts as noise.
 NEAR_FLOOR = 3.0

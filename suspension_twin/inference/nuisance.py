@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
-from suspension_twin.inference.priors import TABLES
+from suspension_twin.inference.priors import SINGLE, TABLES
 from suspension_twin.inference.sensor_reading import read_alike, read_any, read_steady
 from suspension_twin.models.parameters import Parameter, Prior
 from suspension_twin.models.sensor_chain import TABLE
@@ -52,9 +52,6 @@ NUISANCES: Mapping[str, tuple[str, ...]] = {
 }
 #: Values from which on several threads are quicker than one.
 _WORTH_SHARING = 50_000
-_MOUNT = 70.0  # Hz, resonance of an elastic mount of one standard deviation
-#: The best in m that a map and a pose agree to.
-_MAP_LEAST = 0.002
 _SLOWEST = 0.5  # m/s: below this a place on the road says nothing of a time
 
 
@@ -299,7 +296,9 @@ class Nuisances:
             lever[self.channels.index(channel)] = sign * part.rate * value(name)
         if "mount" in self._row:  # less a share of the second derivative, which is the slope of the slope
             turned[self._mounted] = len(self.channels)
-            lever[self._mounted] = -((part.rate / (2.0 * np.pi * _MOUNT)) ** 2) * value("mount")
+            lever[self._mounted] = -((part.rate / (2.0 * np.pi * SINGLE["mount_resonance"])) ** 2) * value(
+                "mount"
+            )
         out = np.empty((rows.size, len(self.channels), lanes))
         carried = self.planar_response[number] if self.planar_response and shift.any() else None
         simulated, shift = np.ascontiguousarray(simulated), np.ascontiguousarray(shift)
@@ -351,7 +350,9 @@ def map_spread(drives: Sequence[Observation]) -> float:
     The mean of drives goes no further than the receiver says of single fixes: that is the limit, three spreads.
     """
     given = [d.position_sigma for d in drives if d.position_sigma > 0]
-    return max(float(np.mean(given)) / 3.0, _MAP_LEAST) if given else OF_A_CALIBRATION.map_position
+    return (
+        max(float(np.mean(given)) / 3.0, SINGLE["map_accuracy"]) if given else OF_A_CALIBRATION.map_position
+    )
 
 
 def _knots(part: Observation, seconds: float) -> Floats:

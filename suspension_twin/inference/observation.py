@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel
 
-from suspension_twin.arrays import Floats
+from suspension_twin.arrays import Floats, interpolated
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
 from suspension_twin.inference.gap import CHANNELS, Gap, main_channel, measure_gap
@@ -60,6 +60,7 @@ __all__ = [
     "Reading",
     "Usage",
     "content_digest",
+    "first_fix",
     "observe",
     "renamed",
     "road_of",
@@ -408,14 +409,14 @@ class Observation:
         source = self.source
         path = source.trajectory
         later = np.clip(path.t + seconds, path.t[0], path.t[-1])
-        names = [f.name for f in fields(Trajectory) if f.name not in ("t", "valid")]
-        columns = {name: np.interp(later, path.t, getattr(path, name)) for name in names}
+        columns = path.x, path.y, path.yaw, path.velocity, path.yaw_rate, path.acceleration
+        x, y, yaw, velocity, turn, acceleration = (interpolated(later, path.t, values) for values in columns)
         if metres:
             with np.errstate(invalid="ignore"):
                 sense = np.sign(np.gradient(source.road.xy_to_uv(path.x, path.y)[0], path.t))
-            columns["x"] = columns["x"] + metres * sense * np.cos(columns["yaw"])
-            columns["y"] = columns["y"] + metres * sense * np.sin(columns["yaw"])
-        return _observed(replace(source, trajectory=replace(path, **columns)), self)
+            x, y = x + metres * sense * np.cos(yaw), y + metres * sense * np.sin(yaw)
+        moved = Trajectory(path.t, x, y, yaw, velocity, turn, acceleration, path.valid)
+        return _observed(replace(source, trajectory=moved), self)
 
 
 def observe(
@@ -466,7 +467,7 @@ def observe(
     timed = correction.timed(drive)
     same = replace(correction, upright=False) == plain
     mounted = signals if same else correction.signals(timed, twin.imu, settings.imu)
-    datum = twin.datum or _first_fix(drive)
+    datum = twin.datum or first_fix(drive)
     noticed = [*mounted.findings, *findings(timed, mounted, twin.gps, datum)]
     for finding in noticed if strict else ():
         if finding.level == "error":
@@ -510,14 +511,14 @@ def with_shown_errors(observation: Observation) -> Observation:
     timed = base.timed(source.drive)
     if not clocks_with(e.id for e in twin.effects):
         shifted = replace(signals, t=signals.t - base.clock)
-        clock = clock_offset_beyond(timed, shifted, twin.gps, twin.datum or _first_fix(timed))
+        clock = clock_offset_beyond(timed, shifted, twin.gps, twin.datum or first_fix(timed))
     turn = _shown_turn(source, base) if base.turn is None else (0.0, 0.0, 0.0)
     return replace(observation, reading=replace(source, shown=SensorCorrection(turn, gain, clock)))
 
 
 def _shown_turn(source: Reading, base: SensorCorrection) -> Turn:
     twin, settings, trajectory = source.twin, source.settings, source.trajectory
-    datum = twin.datum or _first_fix(source.drive)
+    datum = twin.datum or first_fix(source.drive)
     roll, pitch, yaw = level_rpy(source.signals.up.mean(axis=0))
     timed = base.timed(source.drive)
 
@@ -594,12 +595,13 @@ def _motion(drive: Drive, twin: Twin, correction: SensorCorrection, settings: Ob
 def _locked(
     timed: Drive, twin: Twin, signals: ImuSignals, settings: ObserveSettings, upright: bool
 ) -> Trajectory:
-    datum = twin.datum or _first_fix(timed)
+    datum = twin.datum or first_fix(timed)
     trajectory = locked_trajectory(timed, signals, twin.gps, datum, signals.t, upright=upright)
     return denoised_motion(trajectory, signals, twin.cog_height) if settings.quiet else trajectory
 
 
-def _first_fix(drive: Drive) -> Datum:
+def first_fix(drive: Drive) -> Datum:
+    """The place of the first usable fix of a drive; InputError where there is none."""
     good = np.flatnonzero((drive.fix.status >= 0) & np.isfinite(drive.fix.latitude))
     if not good.size:
         raise InputError(drive.name, "fix", "has no usable GNSS fix: without a position the twin has no road")

@@ -20,7 +20,7 @@ from suspension_twin.models.parameters import Parameter, Prior
 from suspension_twin.schema import Strict, checked
 from suspension_twin.vehicle.tracked import BOUNDS
 
-__all__ = ["PRIORS", "TABLES", "NuisancePrior", "PointBounds", "TwinPrior", "prior_of"]
+__all__ = ["PRIORS", "SINGLE", "TABLES", "NuisancePrior", "PointBounds", "TwinPrior", "prior_of"]
 
 _FILE: Final = Path(__file__).with_name("priors.yaml")
 
@@ -98,19 +98,54 @@ class DampingRuns(Strict):
     source: str
 
 
+class SinglePrior(Strict):
+    """A prior that is one number."""
+
+    value: float
+    unit: str
+    source: str
+
+
+class RefinedSpring(Strict):
+    """Points of a refined spring in m of travel from the standing car, and the farthest; a spring with ``enough``
+    points within ``near`` m keeps its own."""
+
+    travel: tuple[float, ...]
+    end: float
+    enough: int
+    near: float
+    unit: str
+    source: str
+
+
+class TrackedSearch(Strict):
+    """The tracked paper's genetic search, and the ``reach`` of a car's characteristics in it."""
+
+    population: int
+    generations: int
+    elite_share: float
+    reach: float
+    source: str
+
+
 class Tables(Strict):
     """The content of ``priors.yaml``. ``table_2`` and ``whole`` (springs and dampers of an axle) are by part."""
 
     numbers: tuple[TwinPrior, ...]
     point: TwinPrior
     unlisted: TwinPrior
+    single: dict[str, SinglePrior]
+    refined_spring: RefinedSpring
     whole: dict[str, TwinPrior]
     nuisances: dict[str, NuisancePrior]
     table_2: dict[str, PointBounds]
     damping: DampingRuns
+    tracked_search: TrackedSearch
 
 
 TABLES: Final = checked(Tables, read_yaml(_FILE), _FILE, "a file of priors")
+#: Priors that are one number, by name.
+SINGLE: Final[Mapping[str, float]] = {name: prior.value for name, prior in TABLES.single.items()}
 
 #: By the key of a number, or by its pattern.
 PRIORS: Final[Mapping[str, TwinPrior]] = {

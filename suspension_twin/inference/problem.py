@@ -30,6 +30,7 @@ from suspension_twin.inference.nuisance import NuisancePriors, Nuisances
 from suspension_twin.inference.objectives import Measured
 from suspension_twin.inference.observation import Observation
 from suspension_twin.inference.parallel import side_by_side
+from suspension_twin.inference.priors import SINGLE
 from suspension_twin.inference.space import Space
 from suspension_twin.models.parameters import lanes
 from suspension_twin.models.simulate import simulate_lanes
@@ -60,7 +61,7 @@ REACH = 3.0
 #: Finite-difference steps of the vehicle and of effects, in their search coordinates.
 STEP, _STEP_EFFECT = 1e-3, 1e-2
 #: Prior correlation of the logarithms of neighbouring slopes of a characteristic.
-CORRELATION = 0.8
+CORRELATION = SINGLE["slopes"]
 # Simulated signals kept at once, in numbers: 25 million are 200 MB.
 _LARGEST_BATCH = 25_000_000
 

@@ -41,8 +41,10 @@ __all__ = ["SimulatedRun", "marker_observation", "observe_rig", "observe_runs", 
 
 #: Share of an input's rms by which transducers let two runs of one program differ: 0.1 mm of 10 mm.
 _SAME_INPUT = 0.01
-#: Held out together: s of a rig run, two periods of a body's resonance, and m of an obstacle run.
-_RIG_BLOCK, _OBSTACLE_BLOCK = 2.0, 0.5
+#: s: two periods of a body on its springs (1 Hz), beyond which residuals are independent, and as much of a rig run is
+#: held out together.
+TWO_PERIODS = 2.0
+_OBSTACLE_BLOCK = 0.5  # m of an obstacle run that is held out together
 #: m between the places of two programs.
 _APART = 1e4
 
@@ -94,7 +96,8 @@ def rig_run(
     s, zero = t - t[0], np.zeros(t.size)
     curve = CubicSpline(s, given)
     road = _Actuator(curve if displacement is not None else curve.antiderivative())
-    way = Trajectory(t, s, zero, zero, zero + 1.0, zero, zero, zero, zero, np.ones(t.size, dtype=np.bool_))
+    ahead, still = np.column_stack([zero + 1.0, zero]), np.zeros((t.size, 2))
+    way = Trajectory(t, s, zero, zero, ahead, zero, still, np.ones(t.size, dtype=np.bool_))
     run = excitation(way, road, road, max_step)
     return run if force is None else replace(run, motion=np.column_stack([run.motion, force]))
 
@@ -143,7 +146,7 @@ def observe_rig(
         {name: floor_rms(values, path, still) for name, values in raw.items()},
         _grid(path.grid[rows], path.rate / every, spec.cutoff, apply, 1.0),
         priors=OF_A_RIG,
-        block=_RIG_BLOCK,
+        block=TWO_PERIODS,
     )
     return replace(found, warnings=record.warnings)
 
@@ -272,7 +275,7 @@ def _rig(twin: Twin, paths: Sequence[str]) -> list[Observation]:
         if program == len(programs):
             programs.append(driven)
         place = one.t + program * _APART
-        block = np.floor(place / _RIG_BLOCK).astype(np.intp)
+        block = np.floor(place / TWO_PERIODS).astype(np.intp)
         found.append(
             replace(
                 one,

@@ -15,10 +15,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from suspension_twin.drive.types import Drive
+from suspension_twin.inference.priors import SINGLE
 from suspension_twin.models.hooks import ClockChange, load_hook, upright_with
+from suspension_twin.pose.planar_denoising import SLOW
 from suspension_twin.pose.types import Trajectory
 from suspension_twin.signals.attitude import level_rpy, matrix_rpy, rpy_matrix
-from suspension_twin.signals.filters import FilterSpec, zero_phase
+from suspension_twin.signals.filters import zero_phase
 from suspension_twin.signals.ingest import ImuSettings
 from suspension_twin.signals.offline import ImuSignals, ingest_drive
 from suspension_twin.vehicle.twin import Place, Twin
@@ -28,10 +30,7 @@ __all__ = ["SensorCorrection", "Turn", "gain_at_rest", "heading_error", "mountin
 #: Roll, pitch and yaw in rad by which a sensor is turned against the mounting in the twin file.
 Turn = tuple[float, float, float]
 
-#: Low-pass below which the path gives the planar acceleration.
-_SLOW = FilterSpec(2, 0.4)
 _LEAST = 0.2  # m/s² rms of the slow acceleration needed for a yaw
-_BIASED = 0.02  # of gravity: bias of an accelerometer without fault
 
 
 @dataclass(frozen=True)
@@ -83,9 +82,9 @@ def turned(place: Place, turn: Turn) -> Place:
 def heading_error(signals: ImuSignals, trajectory: Trajectory) -> float:
     """Yaw in rad of an upright sensor against the vehicle, by its slow planar acceleration against that of the path; 0
     where the drive has too little of it."""
-    pull = zero_phase(_SLOW, signals.rate_hz, signals.force - signals.gravity * signals.up)
-    path = np.column_stack([trajectory.ax, trajectory.speed * trajectory.yaw_rate])
-    path = zero_phase(_SLOW, signals.rate_hz, path)
+    pull = zero_phase(SLOW, signals.rate_hz, signals.force - signals.gravity * signals.up)
+    path = np.column_stack([trajectory.acceleration[:, 0], trajectory.speed * trajectory.yaw_rate])
+    path = zero_phase(SLOW, signals.rate_hz, path)
     used = trajectory.valid & ~signals.standing
     pull, path = pull[used], path[used]
     if not used.any() or math.sqrt(float(np.mean(np.sum(path**2, axis=1)))) < _LEAST:
@@ -111,4 +110,4 @@ def gain_at_rest(signals: ImuSignals) -> float:
         return 1.0
     rest = signals.force[signals.standing].mean(axis=0) + signals.force_bias
     gain = float(np.linalg.norm(rest)) / signals.gravity
-    return gain if abs(gain - 1.0) > _BIASED else 1.0
+    return gain if abs(gain - 1.0) > SINGLE["sensor_bias"] else 1.0

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from suspension_twin.arrays import Floats
+from suspension_twin.arrays import Floats, interpolated
 from suspension_twin.drive.types import Drive
 from suspension_twin.drive.write import BagWriter
 from suspension_twin.errors import InputError
@@ -148,9 +148,7 @@ def _write_topics(bag: BagWriter, result: SimulatedDrive) -> None:
 
     def at(values: Floats) -> Floats:
         """Values at every recorded stamp; exact where the stamp was kept."""
-        if values.ndim == 1:
-            return np.interp(stamps, t, values)
-        return np.column_stack([np.interp(stamps, t, column) for column in values.T])
+        return interpolated(stamps, t, values)
 
     nearest = np.clip(np.searchsorted(t, stamps), 0, t.size - 1)
     nearest = np.where(

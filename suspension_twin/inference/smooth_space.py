@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
+from suspension_twin.inference.priors import TABLES
 from suspension_twin.inference.space import CURVES, FEW_POINTS, Space, curve_keys
 from suspension_twin.models.parameters import Parameter, twin_value
 from suspension_twin.vehicle.twin import Twin
@@ -29,7 +30,7 @@ from suspension_twin.vehicle.twin import Twin
 __all__ = ["KNOTS", "SmoothSpace", "smooth_space"]
 
 #: As many as a curve of the car paper's Table 2 has points.
-KNOTS: Final = 4
+KNOTS: Final = len(TABLES.table_2["spring"].x)
 
 
 def smooth_space(twin: Twin, space: Space) -> Space:

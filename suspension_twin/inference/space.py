@@ -23,6 +23,7 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
+from suspension_twin.inference.priors import TABLES
 from suspension_twin.models.parameters import Parameter, twin_value
 from suspension_twin.vehicle.twin import Suspension, Twin
 
@@ -319,15 +320,12 @@ class Space:
 
 #: Curves with at most so many points change point by point: the second smallest kernel is for eight points.
 FEW_POINTS: Final = 8
-#: So many points of a spring within so many m of the standing vehicle describe its rate there: a prior. Three segments
-#: give a rate, its rise and its bend; bumps move a multibody car's wheels by up to 9 cm (docs/models.md).
-FINE, NEAR = 4, 0.08
 
 
 def is_fine(suspension: Suspension) -> bool:
     """Whether a spring has points enough about the standing vehicle, one of them below."""
-    x, static = suspension.part.spring.points[0], suspension.static_compression
-    return bool((np.abs(x - static) <= NEAR).sum() >= FINE and x[0] < static < x[-1])
+    x, static, about = suspension.part.spring.points[0], suspension.static_compression, TABLES.refined_spring
+    return bool((np.abs(x - static) <= about.near).sum() >= about.enough and x[0] < static < x[-1])
 
 
 def _standing(twin: Twin, key: str, rows: tuple[int, ...]) -> tuple[float, float] | None:

@@ -15,10 +15,10 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 
-__all__ = ["Slide", "changes", "slides", "standing_at"]
+__all__ = ["FARTHEST", "Slide", "changes", "slides", "standing_at"]
 
 _STEP = 0.004  # m between slides
-_FARTHEST = 0.16  # m
+FARTHEST = 0.16  # m
 _MISFIT = 0.01  # share of the load by which a curve may miss (0, 0)
 
 
@@ -45,7 +45,7 @@ def slides(
     old = slope[_segment(x, seen)]
     found: list[Slide] = []
     remainders: list[tuple[float, float, Floats]] = []
-    steps = int(_FARTHEST / _STEP)
+    steps = int(FARTHEST / _STEP)
     for shift in _STEP * np.arange(-steps, steps + 1):
         if seen.min() + shift <= 0 or abs(shift) < 0.5 * _STEP:
             continue

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import PchipInterpolator
 
-from suspension_twin.arrays import Floats
+from suspension_twin.arrays import Floats, interpolated
 from suspension_twin.drive.types import Drive, FixData, ImuData, VelocityData
 from suspension_twin.errors import InputError
 from suspension_twin.models.excitation import excitation
@@ -111,15 +111,13 @@ def path_along(
         "x": x,
         "y": y,
         "yaw": yaw,
-        "speed": speed,
-        "lateral_speed": np.zeros_like(speed),
+        "velocity": np.column_stack([speed, np.zeros_like(speed)]),
         "yaw_rate": yaw_rate,
-        "ax": np.gradient(speed, fine),
-        "ay": speed * yaw_rate,
+        "acceleration": np.column_stack([np.gradient(speed, fine), speed * yaw_rate]),
     }
     at = np.clip(t, fine[0], fine[-1])
     return Trajectory(
-        t=t, valid=np.ones(t.size, dtype=bool), **{k: np.interp(at, fine, c) for k, c in columns.items()}
+        t=t, valid=np.ones(t.size, dtype=bool), **{k: interpolated(at, fine, c) for k, c in columns.items()}
     )
 
 

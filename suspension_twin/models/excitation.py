@@ -110,12 +110,12 @@ def excitation(
     """
     max_step = check_step(max_step)
     t = np.asarray(trajectory.t, dtype=np.float64)
-    names = ("t", "x", "y", "yaw", "speed", "lateral_speed", "yaw_rate", "ax", "ay")
+    names = ("t", "x", "y", "yaw", "velocity", "yaw_rate", "acceleration")
     columns = {name: np.ascontiguousarray(getattr(trajectory, name), dtype=np.float64) for name in names}
     if t.ndim != 1 or t.size < 1:
         raise InputError("trajectory", "t", "holds no stamps")
     for name, values in columns.items():
-        if values.shape != t.shape:
+        if values.shape not in (t.shape, (t.size, 2)):
             raise InputError("trajectory", name, f"has shape {values.shape}, t has {t.shape}")
         if not np.isfinite(values).all():
             at = int(np.flatnonzero(~np.isfinite(values))[0])
@@ -131,9 +131,9 @@ def excitation(
     )
     motion = np.zeros((t.size, len(MOTION)))
     motion[1:, 0] = _steps(dt, count)
-    for column, name in enumerate(MOTION):
-        if name in columns:
-            motion[:, column] = columns[name]
+    motion[:, 1:3], motion[:, 3], motion[:, 5:] = (
+        columns[n] for n in ("acceleration", "yaw_rate", "velocity")
+    )
     yaw_accelerations(columns["t"], columns["yaw_rate"], count, motion[:, MOTION.index("yaw_acceleration")])
     heights = _heights(path, t, count, first)
     return Excitation(columns["t"], count, first, heights, motion, max_step, path)

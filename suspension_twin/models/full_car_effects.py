@@ -60,6 +60,8 @@ __all__ = ["COMPLIANT", "SOFT", "EffectKernels", "constants_of", "effect_kernels
 #: Bits of the flags of a block in which a damper has an elastic mount, and in which a tyre has a stiffness of its own.
 #: Effects have the bits above them.
 COMPLIANT, SOFT = 1, 2
+#: Bit of a walk with an actuator in every strut.
+_ACTUATED = 1 << 61
 
 
 @inlined
@@ -105,6 +107,53 @@ def _soften(w: Floats) -> None:
 
 
 @compiled_later
+def _step(
+    w: Floats,
+    flag: int,
+    h: float,
+    share: float,
+    speed: float,
+    turn: float,
+    force: float,
+    curves: int,
+    springs: int,
+    dampers: int,
+) -> None:
+    """All lanes a step on, over the heights in their rows ROAD.
+
+    ``share`` of the interval has passed then; ``speed`` m/s in the middle of the step, ``turn`` rad/s at its end,
+    ``force`` N of an actuator in every strut; the curves of the corners begin at the row ``curves``.
+    """
+    lag, stride, push = rows.LAG, 5 + 2 * springs + 4 * dampers, 2 + 2 * springs
+    c0, c1, c2, c3 = curves, curves + stride, curves + 2 * stride, curves + 3 * stride
+    p0, p1, p2, p3 = c0 + push, c1 + push, c2 + push, c3 + push
+    for i in range(WIDTH):
+        w[rows.SPEED * WIDTH + i] = speed
+        w[rows.YAW_RATE * WIDTH + i] = turn
+        w[rows.SHARE * WIDTH + i] = share
+        move(w, i, h)
+        strut_forces(w, i, c0, c1, c2, c3, springs)
+        r0, r1, r2, r3 = four(w, rows.ROAD, i)
+        n0, n1, n2, n3 = tyre_forces(w, i, r0, r1, r2, r3)
+        put(w, rows.GROUND, i, n0, n1, n2, n3)
+    if flag & SOFT:
+        _soften(w)
+    if flag & _STRUT_OF:
+        _STRUT(w, flag, h)
+    if flag & _ACTUATED:
+        _push(w, force)
+    if flag & _TYRE_OF:
+        _TYRE(w, flag, h)
+    for i in range(WIDTH):
+        n0, n1, n2, n3 = four(w, rows.GROUND, i)
+        velocities(w, i, h, share, n0, n1, n2, n3, lag, lag + 1, lag + 2, lag + 3, p0, p1, p2, p3, dampers)
+    if flag & _BODY_OF:
+        _BODY(w, flag, h)
+    if flag & _AFTER_OF:
+        _AFTER(w, flag, h)
+
+
+@compiled_later
 def _run(
     blocks: Floats,
     flags: Ints,
@@ -124,13 +173,12 @@ def _run(
     ``blocks`` holds one block.
     """
     stride = 5 + 2 * _SPRING_HINGES + 4 * _DAMPER_HINGES
-    beta, lag = rows.CORNER_IMPLICIT, rows.LAG
+    beta = rows.CORNER_IMPLICIT
     c0, c1, c2, c3 = _CURVES, _CURVES + stride, _CURVES + 2 * stride, _CURVES + 3 * stride
-    push = 2 + 2 * _SPRING_HINGES
     actuated = motion.shape[1] > 7
     for block in range(blocks.shape[0]):
         w = blocks[block]
-        flag = flags[block]
+        flag = flags[block] | (_ACTUATED if actuated else 0)
         row = 0
         for k in range(begin, end):
             n = substeps[k]
@@ -156,48 +204,8 @@ def _run(
                     row += 1
                     speed = motion[k - 1, 5] + (share - 0.5 / n) * (motion[k, 5] - motion[k - 1, 5])
                     turn = yaw_rate(motion[k - 1, 3], yaw, share)
-                    for i in range(WIDTH):
-                        w[rows.SPEED * WIDTH + i] = speed
-                        w[rows.YAW_RATE * WIDTH + i] = turn
-                        w[rows.SHARE * WIDTH + i] = share
-                        move(w, i, h)
-                        strut_forces(w, i, c0, c1, c2, c3, _SPRING_HINGES)
-                        r0, r1, r2, r3 = four(w, rows.ROAD, i)
-                        n0, n1, n2, n3 = tyre_forces(w, i, r0, r1, r2, r3)
-                        put(w, rows.GROUND, i, n0, n1, n2, n3)
-                    if flag & SOFT:
-                        _soften(w)
-                    if flag & _STRUT_OF:
-                        _STRUT(w, flag, h)
-                    if actuated:
-                        _push(w, motion[k - 1, 7] + share * (motion[k, 7] - motion[k - 1, 7]))
-                    if flag & _TYRE_OF:
-                        _TYRE(w, flag, h)
-                    for i in range(WIDTH):
-                        n0, n1, n2, n3 = four(w, rows.GROUND, i)
-                        velocities(
-                            w,
-                            i,
-                            h,
-                            share,
-                            n0,
-                            n1,
-                            n2,
-                            n3,
-                            lag,
-                            lag + 1,
-                            lag + 2,
-                            lag + 3,
-                            c0 + push,
-                            c1 + push,
-                            c2 + push,
-                            c3 + push,
-                            _DAMPER_HINGES,
-                        )
-                    if flag & _BODY_OF:
-                        _BODY(w, flag, h)
-                    if flag & _AFTER_OF:
-                        _AFTER(w, flag, h)
+                    force = motion[k - 1, 7] + share * (motion[k, 7] - motion[k - 1, 7]) if actuated else 0.0
+                    _step(w, flag, h, share, speed, turn, force, _CURVES, _SPRING_HINGES, _DAMPER_HINGES)
                 for i in range(WIDTH):
                     close_interval(w, i, h)
             last = row - 1
@@ -227,11 +235,7 @@ def _advance(
     w: Floats, n: int, h: float, road0: Floats, road1: Floats, motion0: Floats, motion1: Floats
 ) -> None:
     """Walk an interval in n steps of h s, from one road and motion to another."""
-    stride = 5 + 2 * _SPRING_HINGES + 4 * _DAMPER_HINGES
-    beta, lag = rows.CORNER_IMPLICIT, rows.LAG
-    c0, c1, c2, c3 = _CURVES, _CURVES + stride, _CURVES + 2 * stride, _CURVES + 3 * stride
-    push = 2 + 2 * _SPRING_HINGES
-    p0, p1, p2, p3 = c0 + push, c1 + push, c2 + push, c3 + push
+    beta = rows.CORNER_IMPLICIT
     if _FLAG & (_DAMPERS_OF | COMPLIANT):
         put(w, rows.DAMPER_SHARE, 0, 1.0, 1.0, 1.0, 1.0)
         _DAMPERS(w, _FLAG, h)
@@ -245,29 +249,9 @@ def _advance(
             z = road1[c] - (1.0 - share) * (road1[c] - road0[c])
             w[(rows.ROAD_RATE + c) * WIDTH] = (z - w[(rows.ROAD + c) * WIDTH]) / h
             w[(rows.ROAD + c) * WIDTH] = z
-        w[rows.SPEED * WIDTH] = motion0[4] + (share - 0.5 / n) * (motion1[4] - motion0[4])
-        w[rows.YAW_RATE * WIDTH] = yaw_rate(motion0[2], motion1[2], share)
-        w[rows.SHARE * WIDTH] = share
-        move(w, 0, h)
-        strut_forces(w, 0, c0, c1, c2, c3, _SPRING_HINGES)
-        r0, r1, r2, r3 = four(w, rows.ROAD, 0)
-        n0, n1, n2, n3 = tyre_forces(w, 0, r0, r1, r2, r3)
-        put(w, rows.GROUND, 0, n0, n1, n2, n3)
-        if _FLAG & SOFT:
-            for c in range(4):
-                w[(rows.GROUND + c) * WIDTH] *= 1.0 + w[(rows.TYRE_CHANGE + c) * WIDTH]
-        if _FLAG & _STRUT_OF:
-            _STRUT(w, _FLAG, h)
-        if _FLAG & _TYRE_OF:
-            _TYRE(w, _FLAG, h)
-        n0, n1, n2, n3 = four(w, rows.GROUND, 0)
-        velocities(
-            w, 0, h, share, n0, n1, n2, n3, lag, lag + 1, lag + 2, lag + 3, p0, p1, p2, p3, _DAMPER_HINGES
-        )
-        if _FLAG & _BODY_OF:
-            _BODY(w, _FLAG, h)
-        if _FLAG & _AFTER_OF:
-            _AFTER(w, _FLAG, h)
+        speed = motion0[4] + (share - 0.5 / n) * (motion1[4] - motion0[4])
+        turn = yaw_rate(motion0[2], motion1[2], share)
+        _step(w, _FLAG, h, share, speed, turn, 0.0, _CURVES, _SPRING_HINGES, _DAMPER_HINGES)
     close_interval(w, 0, h)
 
 
@@ -392,6 +376,7 @@ def effect_kernels(links_alone: bool = False) -> EffectKernels:
     }
     parts |= {f"_{stage.upper()}_OF": own for stage, own in flags.items()}
     parts |= {"_CURVES": end, "_STAND": standing}
+    parts["_step"] = inlined(specialised(_step, f"step{suffix}", **parts))
     modules = [EFFECTS.module(name) for name in terms if name in EFFECTS]
     kernels = {
         hinges: compiled(

@@ -46,7 +46,7 @@ from typing import Any
 
 import numpy as np
 
-from suspension_twin.arrays import Floats
+from suspension_twin.arrays import Floats, interpolated
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.models.excitation import MAX_STEP, earlier_pose, next_yaw_acceleration
 from suspension_twin.models.hooks import ClockChange, Hook
@@ -460,7 +460,7 @@ def _lanes(twin: Twin, params: Floats, excitation: ObstacleRun, threads: int | N
             hook.clock(change, values)
     for i in np.flatnonzero((change.delay != 0.0) | (change.drift != 0.0)).tolist():
         at = t - change.delay[i] - change.drift[i] * t
-        signals[:, :, i] = np.stack([np.interp(at, t, c) for c in signals[:, :, i].T], axis=1)
+        signals[:, :, i] = interpolated(at, t, signals[:, :, i])
     signals[:, :, failed] = 0.0
     return LaneResponse(t, _CHANNELS, signals, failed)
 

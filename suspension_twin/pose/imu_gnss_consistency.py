@@ -65,7 +65,7 @@ def consistency(drive: Drive, signals: ImuSignals, gps: Place, datum: Datum) -> 
         return None
     # the mean is removed instead of gravity, whose direction a gyro in wrong units would spoil
     force = slow.force @ np.array([1.0, 1.0j, 0.0])
-    reference = np.where(used, path.ax + 1.0j * path.speed * path.yaw_rate, 0.0)
+    reference = np.where(used, path.acceleration[:, 0] + 1.0j * path.speed * path.yaw_rate, 0.0)
     reference[used] -= reference[used].mean()
     if math.sqrt(float(np.mean(np.abs(reference[used]) ** 2))) < _LEAST:
         return None

@@ -22,10 +22,10 @@ from suspension_twin.signals.filters import FilterSpec, zero_phase
 from suspension_twin.signals.noise_floor import white_noise_sigma
 from suspension_twin.signals.offline import ImuSignals
 
-__all__ = ["denoised_motion", "wiener"]
+__all__ = ["SLOW", "denoised_motion", "wiener"]
 
 #: Crossover from the acceleration of the path to that of the accelerometer.
-_SLOW = FilterSpec(2, 0.4)
+SLOW = FilterSpec(2, 0.4)
 #: Bandwidth of the planar motion of the vehicle as a whole.
 _PLANAR = FilterSpec(2, 12.0)
 _PIECE = 4.0  # s
@@ -45,22 +45,23 @@ def denoised_motion(trajectory: Trajectory, signals: ImuSignals, centre: float) 
     force = [white_noise_sigma(signals.force[:, axis], rate) for axis in range(2)]
 
     yaw_rate = wiener(trajectory.yaw_rate, rate, lambda f: np.full_like(f, yaw**2 / nyquist))
-    turned = trajectory.ay + trajectory.speed * (yaw_rate - trajectory.yaw_rate)
+    ax, ay = trajectory.acceleration.T
+    turned = ay + trajectory.speed * (yaw_rate - trajectory.yaw_rate)
     pull, push = _quick(signals, centre)
     # the lever arms from the sensor to the centre of gravity add the derivatives of the gyro noise
     ax = wiener(
-        zero_phase(_SLOW, rate, trajectory.ax - pull) + pull,
+        zero_phase(SLOW, rate, ax - pull) + pull,
         rate,
         lambda f: (force[0] ** 2 + (above * 2 * np.pi * f * pitch) ** 2) / nyquist,
     )
     ay = wiener(
-        zero_phase(_SLOW, rate, turned - push) + push,
+        zero_phase(SLOW, rate, turned - push) + push,
         rate,
         lambda f: (
             (force[1] ** 2 + (2 * np.pi * f) ** 2 * ((above * roll) ** 2 + (ahead * yaw) ** 2)) / nyquist
         ),
     )
-    return replace(trajectory, yaw_rate=yaw_rate, ax=ax, ay=ay)
+    return replace(trajectory, yaw_rate=yaw_rate, acceleration=np.column_stack([ax, ay]))
 
 
 def _quick(signals: ImuSignals, centre: float) -> tuple[Floats, Floats]:

@@ -102,11 +102,9 @@ def satellite_motion(
         x=own[cut, 0],
         y=own[cut, 1],
         yaw=yaw[cut],
-        speed=speed[cut],
-        lateral_speed=np.zeros_like(speed[cut]),
+        velocity=np.column_stack([speed, np.zeros_like(speed)])[cut],
         yaw_rate=turn[cut],
-        ax=acceleration[cut],
-        ay=(speed * turn)[cut],
+        acceleration=np.column_stack([acceleration, speed * turn])[cut],
         valid=minimum_filter1d(fast & near, 2 * margin + 1)[cut],
     )
     kept = nearest[cut]
@@ -117,7 +115,7 @@ def satellite_motion(
 
     force = slowed(signals.force)
     hills, known = _hills(fix, good, t, speed, fast, slow)
-    beyond = (force @ np.asarray(ahead) - trajectory.ax)[trajectory.valid]
+    beyond = (force @ np.asarray(ahead) - trajectory.acceleration[:, 0])[trajectory.valid]
     # heights that the receiver does not vouch for are right if the IMU feels their slopes
     if not known and not signals.standing.any():
         hills -= hills[fast].mean()  # a bias that came from the drive's mean has it already

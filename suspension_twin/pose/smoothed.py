@@ -417,11 +417,9 @@ def _evaluate(
         x=CubicHermiteSpline(at, x[:, ekf.X], v * c - side * s)(inside),
         y=CubicHermiteSpline(at, x[:, ekf.Y], v * s + side * c)(inside),
         yaw=CubicHermiteSpline(at, x[:, ekf.YAW], turn)(inside),
-        speed=speed,
-        lateral_speed=np.interp(inside, at, side),
+        velocity=np.column_stack([speed, np.interp(inside, at, side)]),
         yaw_rate=yaw_rate,
-        ax=np.interp(inside, at, acceleration),
-        ay=speed * yaw_rate,
+        acceleration=np.column_stack([np.interp(inside, at, acceleration), speed * yaw_rate]),
         valid=valid & (t >= at[0]) & (t <= at[-1]),
     )
 

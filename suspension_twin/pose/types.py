@@ -26,7 +26,7 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Planar motion of ``base_link`` in ``map``; every array (n,).
+    """Planar motion of ``base_link`` in ``map``.
 
     Parameters
     ----------
@@ -36,11 +36,11 @@ class Trajectory:
         m.
     yaw : (n,) array
         rad from east, counter-clockwise, continuous.
-    speed, lateral_speed : (n,) array
+    velocity : (n, 2) array
         m/s along x and y of ``base_link``.
     yaw_rate : (n,) array
         rad/s.
-    ax, ay : (n,) array
+    acceleration : (n, 2) array
         m/s² along x and y of ``base_link`` of the body above its origin, at the height of the centre of
         gravity, the centripetal part included, gravity not.
     valid : (n,) array of bool
@@ -61,15 +61,18 @@ class Trajectory:
     x: Floats
     y: Floats
     yaw: Floats
-    speed: Floats
-    lateral_speed: Floats
+    velocity: Floats
     yaw_rate: Floats
-    ax: Floats
-    ay: Floats
+    acceleration: Floats
     valid: NDArray[np.bool_]
 
     def __len__(self) -> int:
         return int(self.t.size)
+
+    @property
+    def speed(self) -> Floats:
+        """(n,) m/s along x of ``base_link``."""
+        return np.asarray(self.velocity[:, 0])
 
 
 NO_FIX = -1  # sensor_msgs/NavSatStatus

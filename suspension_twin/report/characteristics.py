@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -77,10 +77,9 @@ def characteristics(
     evidence = evidence or {}
     reach_x = _reach([e.compression for e in evidence.values()], vehicles, "spring")
     reach_v = _reach([e.velocity for e in evidence.values()], vehicles, "damper")
-    with style.using():
-        fig = style.figure(9.2, 6.2)
-        axles = list(next(iter(vehicles.values())).axles)
-        grid = fig.subplots(2, len(axles), sharey="row", sharex="row", squeeze=False)
+    axles = list(next(iter(vehicles.values())).axles)
+    layout: dict[str, Any] = {"sharey": "row", "sharex": "row", "squeeze": False}
+    with style.drawing(9.2, 6.2, 2, len(axles), **layout) as (fig, grid):
         for column, axle in enumerate(axles):
             found = evidence.get(axle, AxleEvidence())
             spring, damper = grid[0, column], grid[1, column]

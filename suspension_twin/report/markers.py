@@ -26,9 +26,7 @@ _ROLES = ("simulated", "mark", "before", "extra")
 def marker_figure(measured: MarkerRun, simulated: Mapping[str, MarkerRun], kind: str, marker: int) -> Figure:
     """One of Figs 7 to 12: ``kind`` "markers", "velocity" or "acceleration" of marker 0 (A), 1 (B) or 2 (C)."""
     _, label, unit = next(k for k in _KINDS if k[0] == kind)
-    with style.using():
-        fig = style.figure(7.2, 3.2)
-        axes = fig.subplots()
+    with style.drawing(7.2, 3.2) as (fig, axes):
         values = unit * getattr(measured, kind)[:, marker]
         axes.plot(measured.t, values, color=style.colour("measured"), label="measured")
         for role, (name, run) in zip(_ROLES, simulated.items(), strict=False):
@@ -61,9 +59,7 @@ def marker_pictures(measured: MarkerRun, simulated: Mapping[str, MarkerRun], fol
 def damping_picture(speeds: Sequence[float], dampings: Sequence[float], table: Floats) -> Figure:
     """Fig. 13: variance of the pitch (dampings, speeds) in rad² over km/h; logarithmic, since the undamped
     curve lies far above the others."""
-    with style.using():
-        fig = style.figure(8.0, 4.6)
-        axes = fig.subplots()
+    with style.drawing(8.0, 4.6) as (fig, axes):
         for i, damping in enumerate(dampings):
             label = f"{i + 1}: {damping:,.0f}".replace(",", " ")
             axes.plot(

@@ -81,16 +81,8 @@ def in_time(
     }
     start = float(t[0]) if origin is None else origin
     columns = list(windows) or [Window(float(t[0]), float(t[-1]))]
-    with style.using():
-        fig = style.figure(9.2, 4.6)
-        grid = fig.subplots(
-            2,
-            len(columns),
-            sharex="col",
-            sharey="row",
-            squeeze=False,
-            height_ratios=[3, 1.2],
-        )
+    layout: dict[str, Any] = {"sharex": "col", "sharey": "row", "squeeze": False, "height_ratios": [3, 1.2]}
+    with style.drawing(9.2, 4.6, 2, len(columns), **layout) as (fig, grid):
         for column, window in enumerate(columns):
             keep = (t >= window.start) & (t <= window.end)
             x = t[keep] - start
@@ -133,9 +125,7 @@ def in_frequency(
     keep = (frequency > 0.999 * limits[0]) & (
         frequency < 1.001 * limits[1]
     )  # a bin just beside its round value
-    with style.using():
-        fig = style.figure(width, min(3.6, 0.72 * width))
-        axes = fig.subplots()
+    with style.drawing(width, min(3.6, 0.72 * width)) as (fig, axes):
         largest = 0.0
         for role, density in densities.items():
             values = np.maximum(density[keep], np.finfo(float).tiny)
@@ -187,9 +177,7 @@ def two_sided(
     ``amplitudes`` maps a role to its spectrum (f,), as ``signals.spectra.power_spectrum`` gives it.
     """
     keep = np.abs(frequency) <= limit
-    with style.using():
-        fig = style.figure(9.2, 3.2)
-        axes = fig.subplots()
+    with style.drawing(9.2, 3.2) as (fig, axes):
         for role, amplitude in amplitudes.items():
             _line(axes, role, frequency[keep], amplitude[keep], label=(names or {}).get(role, role))
         axes.set(xlabel="frequency [Hz]", ylabel="amplitude [m/s²]", xlim=(-limit, limit))
@@ -218,15 +206,10 @@ def residual_by_road(
     edges = np.arange(np.floor(np.nanmin(distance)), np.nanmax(distance) + 1.0)
     if edges.size < 2:
         edges = np.array([edges[0], edges[0] + 1.0])
-    with style.using():
-        fig = style.figure(9.2, 4.0 if profile is not None else 3.0)
-        rows = fig.subplots(
-            2 if profile is not None else 1,
-            1,
-            sharex=True,
-            squeeze=False,
-            height_ratios=[2, 1] if profile is not None else [1],
-        )[:, 0]
+    ratios = [2, 1] if profile is not None else [1]
+    layout: dict[str, Any] = {"sharex": True, "squeeze": False, "height_ratios": ratios}
+    with style.drawing(9.2, 2.0 + len(ratios), len(ratios), **layout) as (fig, grid):
+        rows = grid[:, 0]
         if before is not None:
             rows[0].stairs(
                 _binned(distance, before, edges),
@@ -278,9 +261,7 @@ def convergence(
     label: str = "cost",
 ) -> Figure:
     """Best (and mean) cost over the count of simulated candidates; ``stages`` are (evaluation, name) marks."""
-    with style.using():
-        fig = style.figure(9.2, 3.2)
-        axes = fig.subplots()
+    with style.drawing(9.2, 3.2) as (fig, axes):
         if mean is not None:
             _line(axes, "before", evaluations, mean, label="mean of the generation")
         axes.plot(
@@ -310,9 +291,7 @@ def convergence(
 def agreement(rows: Mapping[str, Mapping[str, float]], *, label: str = "gap, rms [m/s²]") -> Figure:
     """Bars of the gap: ``rows`` maps a drive to {role: value}, roles "before", "simulated", "truth"."""
     names = {"before": "before calibration", "simulated": "calibrated", "truth": "true parameters"}
-    with style.using():
-        fig = style.figure(9.2, 0.9 + 0.75 * len(rows))
-        axes = fig.subplots()
+    with style.drawing(9.2, 0.9 + 0.75 * len(rows)) as (fig, axes):
         drives = list(rows)
         roles = [r for r in ("before", "simulated", "truth") if any(r in row for row in rows.values())]
         thickness = 0.8 / max(len(roles), 1)
@@ -354,11 +333,9 @@ def path_map(
     x, y = _turned(np.column_stack([x, y]), turn).T
     outline = None if outline is None else _turned(outline, turn)
     fixes = None if fixes is None else _turned(fixes, turn)
-    with style.using():
-        spans = [x, y] if outline is None else [outline[:, 0], outline[:, 1]]
-        width, height = (max(float(np.ptp(s)), 1.0) for s in spans)
-        fig = style.figure(9.2, float(np.clip(8.0 * height / width + 0.9, 2.6, 7.0)))
-        axes = fig.subplots()
+    spans = [x, y] if outline is None else [outline[:, 0], outline[:, 1]]
+    width, height = (max(float(np.ptp(s)), 1.0) for s in spans)
+    with style.drawing(9.2, float(np.clip(8.0 * height / width + 0.9, 2.6, 7.0))) as (fig, axes):
         if outline is not None:
             border = np.vstack([outline, outline[:1]])
             axes.fill(border[:, 0], border[:, 1], color=COLOURS["road"], alpha=0.35, linewidth=0)
@@ -451,9 +428,7 @@ def car_from_above(
     front, rear = float(wheels[:, 0].max()), float(wheels[:, 0].min())
     half = float(np.abs(wheels[:, 1]).max()) + _SIDE
     most = max(shares.values(), default=0.0)
-    with style.using():
-        fig = style.figure(width, 0.72 * width)
-        axes = fig.subplots()
+    with style.drawing(width, 0.72 * width) as (fig, axes):
         edge = {"edgecolor": COLOURS["soft"], "linewidth": 0.9}
         length, middle = front - rear + _FRONT + _REAR, 0.5 * (front + rear)
         body = {"facecolor": COLOURS["road"], "alpha": 0.35, **edge}

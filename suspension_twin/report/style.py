@@ -29,6 +29,7 @@ __all__ = [
     "LINES",
     "colour",
     "css_variables",
+    "drawing",
     "figure",
     "html",
     "png",
@@ -132,6 +133,17 @@ def using() -> Iterator[None]:
 def figure(width: float = 9.2, height: float = 3.4) -> Figure:
     """An empty figure, inches; without pyplot, so that it is never kept alive and needs no display."""
     return Figure(figsize=(width, height), layout="constrained")
+
+
+@contextmanager
+def drawing(
+    width: float = 9.2, height: float = 3.4, *panels: int, **settings: Any
+) -> Iterator[tuple[Figure, Any]]:
+    """An empty figure, inches, and its axes as ``Figure.subplots`` makes them, in the house style for what is drawn
+    inside."""
+    with using():
+        fig = figure(width, height)
+        yield fig, fig.subplots(*panels, **settings)
 
 
 def legend(fig: Figure, handles: Sequence[Any], labels: Sequence[str]) -> None:

@@ -242,11 +242,9 @@ def test_the_true_twin_moves_like_the_reality(name, truth):
         x=truth["x"],
         y=truth["y"],
         yaw=yaw,
-        speed=truth["speed"],
-        lateral_speed=vy * cos - vx * sin,
+        velocity=np.column_stack([truth["speed"], vy * cos - vx * sin]),
         yaw_rate=np.gradient(low_pass(yaw), 0.01),
-        ax=ax * cos + ay * sin,
-        ay=ay * cos - ax * sin,
+        acceleration=np.column_stack([ax * cos + ay * sin, ay * cos - ax * sin]),
         valid=np.ones(yaw.size, dtype=bool),
     )
     response = simulate_twin(twin, excitation(path, twin.vehicle, load_road(twin.road.file)))

@@ -39,16 +39,10 @@ class Rosenbrock:
 START, FREE = np.array([-1.2, 1.0]), (np.zeros((2, 2)), np.zeros(2))
 
 
-def test_it_goes_down_the_valley_and_continues_to_the_same_bits() -> None:
+def test_it_goes_down_the_valley() -> None:
     whole = GaussNewton(Rosenbrock(), START, *FREE)
     whole.run()
     assert_allclose(whole.x, 1.0, atol=1e-4)
-    part, again = (GaussNewton(Rosenbrock(), START, *FREE) for _ in range(2))
-    for _ in range(4):
-        part.step()
-    again.restore(*part.state())
-    again.run()
-    assert np.array_equal(again.x, whole.x) and again.iteration == whole.iteration
 
 
 def test_bounds_hold_and_the_end_is_the_constrained_minimum() -> None:
@@ -389,28 +383,10 @@ def test_a_search_ends_where_the_undamped_step_is_not_worth_it() -> None:
     """It is predicted to lower the cost by g^T H^-1 g."""
     predicted = float(SLOPE @ np.linalg.solve(SQUARES, SLOPE))
     for worthwhile, tried in ((1.001 * predicted, 0), (0.999 * predicted, 1)):
-        settings = GaussNewtonSettings(ladder=(0.0, 1.0), worthwhile=worthwhile, iterations=1)
+        settings = GaussNewtonSettings(ladder=(0.0, 1.0), absolute=worthwhile, iterations=1)
         solver, told = scripted(settings, 60.0)
         solver.run()
         assert len(told.tried) == tried and solver.finished and solver.iteration == 1
-    damped, told = scripted(
-        GaussNewtonSettings(ladder=(1.0,), worthwhile=1e3 * predicted, iterations=1), 60.0
-    )
+    damped, told = scripted(GaussNewtonSettings(ladder=(1.0,), absolute=1e3 * predicted, iterations=1), 60.0)
     damped.run()
     assert len(told.tried) == 1  # without an undamped step nothing is predicted
-
-
-def test_its_state_is_all_that_it_needs_to_go_on() -> None:
-    solver, _ = scripted(GaussNewtonSettings(tolerance=0.5), 60.0, 59.0)
-    assert solver.damping == solver.settings.damping
-    solver.step()
-    solver.step()
-    arrays, plain = solver.state()
-    again, _ = scripted(GaussNewtonSettings(tolerance=0.5))
-    again.restore(arrays, plain)
-    for name in ("damping", "cost", "fit", "iteration", "calm", "finished"):
-        assert getattr(again, name) == getattr(solver, name) == plain[name], name
-    assert np.array_equal(again.x, solver.x) and np.array_equal(again.centre, solver.centre)
-    assert again.x is not solver.x and solver.calm == 2 and solver.finished
-    given = GaussNewton(Rosenbrock(), START, *FREE, damping=7.0)
-    assert given.damping == 7.0

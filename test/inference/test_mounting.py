@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from suspension_twin.arrays import Floats
 from suspension_twin.drive.types import Drive
 from suspension_twin.inference.observation import Observation, observe, with_shown_errors
 from suspension_twin.inference.sensor_correction import (
@@ -93,8 +92,9 @@ def test_the_path_shows_which_way_an_upright_sensor_faces(
 
 def test_without_acceleration_there_is_no_heading_error(drive: Drive, twin: Twin, bumps: Road) -> None:
     prepared = observe(drive, twin, bumps)
-    none: Floats = np.zeros_like(prepared.trajectory.ax)
-    assert heading_error(prepared.signals, replace(prepared.trajectory, ax=none, yaw_rate=none)) == 0.0
+    path = prepared.trajectory
+    straight = replace(path, acceleration=0 * path.acceleration, yaw_rate=0 * path.yaw_rate)
+    assert heading_error(prepared.signals, straight) == 0.0
 
 
 @pytest.mark.parametrize("known", [False, True], ids=["shown by the drive", "in the twin file"])

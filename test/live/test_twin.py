@@ -51,19 +51,17 @@ class Case(NamedTuple):
     def trajectory(self, live: tuple[str, ...]) -> Trajectory:
         """The smoothed path of the drive with these columns of the live one."""
         smooth = self.offline.observation.trajectory
-        columns = {
-            name: getattr(smooth, name)[self.kept]
-            for name in ("x", "y", "yaw", "speed", "lateral_speed", "yaw_rate", "ax", "ay")
+        known = {
+            "x": self.live(lambda u: u.pose.x),
+            "y": self.live(lambda u: u.pose.y),
+            "yaw": self.live(lambda u: u.pose.yaw),
+            "velocity": self.live(lambda u: u.pose.motion[:2]),
+            "yaw_rate": self.live(lambda u: u.pose.motion.yaw_rate),
+            "acceleration": self.live(lambda u: u.followed.acceleration),
         }
-        rows = self.live(
-            lambda u: (u.pose.x, u.pose.y, u.pose.yaw, *u.pose.motion[:3], *u.followed.acceleration)
-        )
-        known = dict(zip(columns, rows.T, strict=True))
-        return Trajectory(
-            t=self.live(lambda u: u.sample.t),
-            **{**columns, **{name: known[name] for name in live}},
-            valid=np.ones(len(rows), dtype=bool),
-        )
+        columns = {k: known[k] if k in live else getattr(smooth, k)[self.kept] for k in EVERY}
+        t = self.live(lambda u: u.sample.t)
+        return Trajectory(t=t, **columns, valid=np.ones(t.size, dtype=bool))
 
     def simulated(self, path: Trajectory) -> np.ndarray:
         """The twin's vertical acceleration offline along a path, low-passed."""
@@ -86,7 +84,7 @@ def case(request) -> Case:
     return Case(twin, updates, later, offline, kept)
 
 
-EVERY = ("x", "y", "yaw", "speed", "lateral_speed", "yaw_rate", "ax", "ay")
+EVERY = ("x", "y", "yaw", "velocity", "yaw_rate", "acceleration")
 
 
 def test_along_the_same_path_live_and_offline_are_one_excitation(case):
@@ -124,8 +122,7 @@ def test_beyond_that_live_lacks_the_smoother_and_the_denoising(case):
 
 def test_accelerations_are_those_of_the_offline_drive_but_for_noise(case):
     live, smooth = case.trajectory(EVERY), case.trajectory(())
-    for name in ("ax", "ay"):
-        error = (getattr(live, name) - getattr(smooth, name))[case.later]
+    for error in (live.acceleration - smooth.acceleration)[case.later].T:
         assert np.std(error) < 0.3 and abs(error.mean()) < 0.02
 
 

@@ -85,7 +85,7 @@ def reference(twin: Any, way: Any, ground: Any, start: Any) -> Any:
 
     def inputs(t: float) -> Any:
         x, y, yaw, ax, ay, w = (
-            np.interp(t, way.t, getattr(way, n)) for n in ("x", "y", "yaw", "ax", "ay", "yaw_rate")
+            np.interp(t, way.t, c) for c in (way.x, way.y, way.yaw, *way.acceleration.T, way.yaw_rate)
         )
         c, s = np.cos(yaw), np.sin(yaw)
         road = ground.heights(

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -65,7 +66,7 @@ def drive_mujoco(twin: Any, way: Any, ground: Any) -> np.ndarray:
     wheels, steps = twin.vehicle.wheel_positions, round((way.t[1] - way.t[0]) / model.opt.timestep)
     fine = np.linspace(way.t[0], way.t[-1], steps * (way.t.size - 1) + 1)
     x, y, yaw, ax, ay, w = (
-        np.interp(fine, way.t, getattr(way, n)) for n in ("x", "y", "yaw", "ax", "ay", "yaw_rate")
+        np.interp(fine, way.t, c) for c in (way.x, way.y, way.yaw, *way.acceleration.T, way.yaw_rate)
     )
     c, s = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
     road = ground.heights(
@@ -104,9 +105,7 @@ def test_every_acceleration_within_half_a_per_cent(
     way = drive(seconds=3.0, rate=200, speed=8.0, yaw_rate=yaw_rate, ax=ax, t0=0.0)
     # level and unaccelerated at first: both start at rest
     ramp = 0.5 - 0.5 * np.cos(np.pi * np.clip(way.t / 2.0, 0, 1))
-    way = type(way)(
-        **{**way.__dict__, "ax": way.ax * ramp, "ay": way.ay * ramp, "yaw_rate": way.yaw_rate * ramp}
-    )
+    way = replace(way, acceleration=way.acceleration * ramp[:, None], yaw_rate=way.yaw_rate * ramp)
     road = ground(height)
     ours = simulate_twin(linear, excitation(way, linear.vehicle, road, 5e-4)).acceleration
     theirs = drive_mujoco(linear, way, road)

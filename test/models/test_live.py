@@ -16,7 +16,6 @@ from suspension_twin.models.live import LiveTwin
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.models.types import PoseSample
 
-COLUMNS = ("t", "x", "y", "yaw", "speed", "lateral_speed", "yaw_rate", "ax", "ay")
 FIELDS = (
     "heave",
     "roll",
@@ -32,9 +31,13 @@ FIELDS = (
 )
 
 
+def rows(way: Any) -> Any:
+    columns = [way.t, way.x, way.y, way.yaw, way.velocity, way.yaw_rate, way.acceleration]
+    return np.column_stack(columns).tolist()
+
+
 def play(live: LiveTwin, way: Any) -> Any:
-    rows = np.stack([getattr(way, c) for c in COLUMNS], axis=1)
-    return [live.step(t, PoseSample(*row)) for t, *row in rows.tolist()]
+    return [live.step(t, PoseSample(*row)) for t, *row in rows(way)]
 
 
 @pytest.mark.parametrize(("rate", "jitter"), [(100, 0.0), (100, 0.6), (1000, 0.5), (50, 0.2)])
@@ -79,8 +82,7 @@ def test_unusable_input_is_reported_and_changes_nothing(
     way = drive(seconds=1)
     clean = play(LiveTwin(mondeo, rough), way)
     live = LiveTwin(mondeo, rough)
-    rows = np.stack([getattr(way, c) for c in COLUMNS], axis=1).tolist()
-    for k, (t, *row) in enumerate(rows):
+    for k, (t, *row) in enumerate(rows(way)):
         motion = PoseSample(*row)
         state = live.step(t, motion)
         assert state.heave == clean[k].heave

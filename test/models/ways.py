@@ -68,11 +68,9 @@ def drive() -> Callable[..., Trajectory]:
             x=x,
             y=y,
             yaw=yaw,
-            speed=v,
-            lateral_speed=zero,
+            velocity=np.column_stack([v, zero]),
             yaw_rate=zero + yaw_rate,
-            ax=zero + ax,
-            ay=v * yaw_rate,
+            acceleration=np.column_stack([zero + ax, v * yaw_rate]),
             valid=np.ones(s.size, bool),
         )
 

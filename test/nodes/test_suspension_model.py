@@ -116,8 +116,8 @@ def test_a_sensor_with_latency_reads_the_road_as_late_live_as_offline(bench, twi
 
     t = T0 + np.arange(600) / 100.0
     zero = np.zeros(600)
-    speed = np.full(600, SPEED)
-    path = Trajectory(t, 5.0 + SPEED * (t - T0), zero, zero, speed, *(zero,) * 4, np.ones(600, dtype=bool))
+    speed = np.column_stack([zero + SPEED, zero])
+    path = Trajectory(t, 5.0 + SPEED * (t - T0), zero, zero, speed, zero, 0 * speed, np.ones(600, dtype=bool))
     road = excitation(path, late.vehicle, load_road(prompt.road.file))
     offline, without = (simulate_twin(twin, road).force[:, 2] for twin in (late, prompt))
     loudest = np.abs(offline - 9.81).max()

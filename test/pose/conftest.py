@@ -84,11 +84,9 @@ def make_scene() -> Callable[..., Scene]:
             x=on(s, x),
             y=on(s, y),
             yaw=on(s, psi),
-            speed=on(s, v),
-            lateral_speed=0 * s,
+            velocity=np.column_stack([on(s, v), 0 * s]),
             yaw_rate=on(s, w),
-            ax=on(s, pull),
-            ay=on(s, v * w),
+            acceleration=np.column_stack([on(s, pull), on(s, v * w)]),
             valid=np.ones(s.size, dtype=bool),
         )
         # The sensor's place turns about base_link, with the yaw and with the pitch.

@@ -84,7 +84,7 @@ def off(
         "yaw": np.remainder(at[3] - truth.yaw[k] + np.pi, 2 * np.pi) - np.pi,
         "speed": at[4] - truth.speed[k],
         "yaw_rate": at[6] - truth.yaw_rate[k],
-        "ax": at[7] - truth.ax[k],
+        "ax": at[7] - truth.acceleration[k, 0],
     }
 
 

@@ -41,14 +41,19 @@ def test_the_motion_is_the_vehicle_s_and_both_sides_are_as_slow(scene: Any) -> N
     inner = motion.valid & (motion.t > motion.t[0] + 5) & (motion.t < motion.t[-1] - 5)
     assert inner.sum() > 200
 
-    def true(name: str) -> np.ndarray:
-        return np.interp(motion.t, scene.truth.t, getattr(scene.truth, name))[inner]
+    def true(values: np.ndarray) -> np.ndarray:
+        return np.interp(motion.t, scene.truth.t, values)[inner]
 
     # fixes to 5 mm ten times a second: what that noise is after two derivatives up to 0.8 Hz
-    for name, most in (("speed", 0.02), ("yaw_rate", 0.004), ("ax", 0.05), ("ay", 0.05)):
-        off = getattr(motion, name)[inner] - true(name)
-        assert np.sqrt(np.mean(off**2)) < most, name
-    np.testing.assert_allclose(motion.x[inner], true("x"), atol=0.1)
+    for most, *pair in (
+        (0.02, motion.speed, scene.truth.speed),
+        (0.004, motion.yaw_rate, scene.truth.yaw_rate),
+        (0.05, motion.acceleration[:, 0], scene.truth.acceleration[:, 0]),
+        (0.05, motion.acceleration[:, 1], scene.truth.acceleration[:, 1]),
+    ):
+        off = pair[0][inner] - true(pair[1])
+        assert np.sqrt(np.mean(off**2)) < most
+    np.testing.assert_allclose(motion.x[inner], true(scene.truth.x), atol=0.1)
     # the gyro that went through the same low-pass says the same, at the same time
     delays = np.arange(-3, 4)
     fit = [
@@ -68,9 +73,7 @@ def test_nothing_is_said_where_fixes_are_missing(scene: Any) -> None:
     )
     assert not motion.valid[(motion.t > start + 20.5) & (motion.t < start + 25.5)].any()
     assert motion.valid[(motion.t > start + 30) & (motion.t < start + 50)].all()
-    assert all(
-        np.isfinite(getattr(motion, k)).all() for k in ("x", "y", "yaw", "speed", "yaw_rate", "ax", "ay")
-    )
+    assert all(np.isfinite(column).all() for column in vars(motion).values())
 
 
 def test_too_few_fixes_and_a_parked_car_are_named(scene: Any, make_scene: Callable[..., Any]) -> None:

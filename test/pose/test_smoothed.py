@@ -37,8 +37,8 @@ def errors(found: Trajectory, truth: Trajectory, part: slice | np.ndarray = slic
         "yaw": np.remainder(found.yaw - truth.yaw + np.pi, 2 * np.pi) - np.pi,
         "speed": found.speed - truth.speed,
         "yaw_rate": found.yaw_rate - truth.yaw_rate,
-        "ax": found.ax - truth.ax,
-        "ay": found.ay - truth.ay,
+        "ax": (found.acceleration - truth.acceleration)[:, 0],
+        "ay": (found.acceleration - truth.acceleration)[:, 1],
     }
     return {name: float(np.sqrt(np.mean(values[part] ** 2))) for name, values in off.items()}
 
@@ -145,7 +145,7 @@ def test_between_and_beyond_the_stamps(make_scene: Maker, away: Away) -> None:
     found = locked_trajectory(scene.drive, signals, scene.gps, scene.datum, t)
     inside = (t > scene.truth.t[0]) & (t < scene.truth.t[-1])
     assert np.array_equal(found.valid, inside)
-    assert np.isfinite([found.x, found.y, found.yaw, found.speed, found.ax]).all()
+    assert np.isfinite([found.x, found.y, found.yaw, found.speed, found.acceleration[:, 0]]).all()
     step = np.hypot(np.diff(found.x), np.diff(found.y)) - np.abs(found.speed[1:]) * np.diff(t)
     assert np.abs(step[inside[1:] & inside[:-1]]).max() < 1e-3  # position and speed are in step
 

@@ -67,10 +67,10 @@ def test_all_that_it_says_hangs_together(scene: Any, signals: ImuSignals) -> Non
     dx, dy = np.gradient(path.x, t), np.gradient(path.y, t)
     assert len(path) == t.size
     np.testing.assert_allclose(dx * c + dy * s, path.speed, rtol=0, atol=0.01)
-    np.testing.assert_allclose(dy * c - dx * s, path.lateral_speed, rtol=0, atol=0.02)
+    np.testing.assert_allclose(dy * c - dx * s, path.velocity[:, 1], rtol=0, atol=0.02)
     assert np.std(np.gradient(path.yaw, t) - path.yaw_rate) < 5e-3
-    assert np.std(np.gradient(path.speed, t) - path.ax) < 0.05
-    np.testing.assert_allclose(path.ay, path.speed * path.yaw_rate)
+    assert np.std(np.gradient(path.speed, t) - path.acceleration[:, 0]) < 0.05
+    np.testing.assert_allclose(path.acceleration[:, 1], path.speed * path.yaw_rate)
     assert np.abs(path.speed - np.interp(t, scene.truth.t, scene.truth.speed)).max() < 0.1
 
 

@@ -439,9 +439,7 @@ def _step(vehicle: _Vehicle, change: ChangePoint) -> Figure:
     t, value, low, high = np.array(vehicle.series(change.series.quantity)).T
     factor, unit = (1e-3, "N/mm") if change.series.unit == "N/m" else (1.0, change.series.unit)
     value, low, high = factor * value, factor * low, factor * high
-    with style.using():
-        fig = style.figure(4.6, 2.5)
-        axes = fig.subplots()
+    with style.drawing(4.6, 2.5) as (fig, axes):
         place = int(np.searchsorted(t, _number(change.date)))
         begin, end = (_number(d) for d in (change.earliest, change.latest))
         # The step lies between the drive before its first and the last possible place.
@@ -674,10 +672,8 @@ def _worst(local: Floats, rms: Floats) -> list[int]:
 
 def _drawn(local: Floats, rms: Floats, worst: Sequence[int], before: int, unit: str) -> Figure:
     x, y = local[:, 0], local[:, 1]
-    with style.using():
-        width, height = (max(float(np.ptp(s)), 1.0) for s in (x, y))
-        fig = style.figure(9.2, float(np.clip(8.0 * height / width + 0.9, 2.8, 6.5)))
-        axes = fig.subplots()
+    width, height = (max(float(np.ptp(s)), 1.0) for s in (x, y))
+    with style.drawing(9.2, float(np.clip(8.0 * height / width + 0.9, 2.8, 6.5))) as (fig, axes):
         order = np.argsort(rms)
         points = axes.scatter(
             x[order], y[order], c=rms[order], cmap="viridis", s=24.0, linewidths=0, zorder=3

@@ -139,9 +139,7 @@ def sizes_picture(shown: Sequence[Detectability]) -> Figure:
         _alike(shown), key=lambda g: (g[0].size is None, 0.0 if g[0].size is None else _less(g[0]))
     )
     rows = [group[0] for group in groups]
-    with style.using():
-        fig = style.figure(9.2, 0.9 + 0.2 * len(rows))
-        axes = fig.subplots()
+    with style.drawing(9.2, 0.9 + 0.2 * len(rows)) as (fig, axes):
         values = [10.0 ** _less(s) if s.size is not None else np.nan for s in rows]
         known = [v for v in values if np.isfinite(v)]
         right = 2.0 * max([*known, 3.0])
@@ -208,9 +206,7 @@ def _remedy(p: Pair) -> str:
 def _matrix(plan: Plan) -> Figure:
     """The angles as a picture, without effects that do not show."""
     rows = [i for i, row in enumerate(plan.angles) if np.isfinite(row).any()]
-    with style.using():
-        fig = style.figure(9.2, 2.2 + 0.24 * len(rows))
-        axes = fig.subplots()
+    with style.drawing(9.2, 2.2 + 0.24 * len(rows)) as (fig, axes):
         angles = plan.angles[rows]
         image = axes.imshow(angles, cmap="RdYlGn", vmin=0.0, vmax=90.0, aspect="auto")
         for y, row in enumerate(angles):

@@ -16,7 +16,7 @@ from scipy.ndimage import gaussian_filter1d
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
-from suspension_twin.inference.observation import Observation, ObserveSettings, observe
+from suspension_twin.inference.observation import Observation, ObserveSettings, first_fix, observe
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.models.types import HeightField
@@ -45,12 +45,7 @@ def with_datum(twin: Twin, drive: Drive) -> Twin:
     """The twin with a datum: where its file has none, the first fix of the drive at altitude 0."""
     if twin.datum is not None:
         return twin
-    good = np.flatnonzero((drive.fix.status >= 0) & np.isfinite(drive.fix.latitude))
-    if not good.size:
-        raise InputError(drive.name, "fix", "has no usable GNSS fix: without a position there is no road")
-    i = int(good[0])
-    place = {"latitude": float(drive.fix.latitude[i]), "longitude": float(drive.fix.longitude[i])}
-    return twin.with_changes({"datum": {**place, "altitude": 0.0}})
+    return twin.with_changes({"datum": first_fix(drive).model_dump() | {"altitude": 0.0}})
 
 
 def prepare_drive(drive: Drive, twin: Twin, low_pass: FilterSpec | None = None) -> Observation:

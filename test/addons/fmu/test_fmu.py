@@ -66,7 +66,8 @@ def deviation(found: Response, wanted: Response) -> float:
 
 def followed(model: LiveModel, path: Trajectory) -> list[LiveState]:
     """The states of a live model along a path."""
-    rows = np.stack([getattr(path, name) for name in ("t", *PoseSample._fields)], axis=1).tolist()
+    columns = [path.t, path.x, path.y, path.yaw, path.velocity, path.yaw_rate, path.acceleration]
+    rows = np.column_stack(columns).tolist()
     return [model.step(t, PoseSample(*row)) for t, *row in rows]
 
 
