@@ -16,6 +16,7 @@ import re
 import shutil
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -33,6 +34,8 @@ Function = TypeVar("Function", bound=Callable[..., object])
 
 #: Machine code of other sources is deleted when it has not been loaded for so long, in s.
 _UNUSED = 30 * 86_400.0
+#: The folder is a setting of the process: a thread beside would see that of another, or none while numba reads it.
+_one_folder = threading.Lock()
 
 
 def compiled(function: Function, modules: Iterable[str] = ()) -> Function:
@@ -42,13 +45,14 @@ def compiled(function: Function, modules: Iterable[str] = ()) -> Function:
     Where no folder can be written at all (no home, read-only installation) every process compiles
     anew instead of failing.
     """
-    folder = _cache_folder(function.__module__, tuple(modules))
-    given = config.CACHE_DIR
-    config.CACHE_DIR = str(folder)  # numba reads it while it decorates
-    try:
-        return cast(Function, njit(cache=folder is not None, nogil=True, error_model="numpy")(function))
-    finally:
-        config.CACHE_DIR = given
+    with _one_folder:
+        folder = _cache_folder(function.__module__, tuple(modules))
+        given = config.CACHE_DIR
+        config.CACHE_DIR = str(folder)  # numba reads it while it decorates
+        try:
+            return cast(Function, njit(cache=folder is not None, nogil=True, error_model="numpy")(function))
+        finally:
+            config.CACHE_DIR = given
 
 
 def specialised(function: Function, name: str, **constants: object) -> Function:
