@@ -29,7 +29,7 @@ from suspension_twin.drive.clocks import (
 )
 from suspension_twin.drive.foreign_files import DataTable, RecordedFiles, read_table
 from suspension_twin.drive.importers import IMPORTERS, read_source
-from suspension_twin.drive.streams import Series, Streams, velocities_from_course
+from suspension_twin.drive.streams import Series, Streams
 from suspension_twin.drive.types import FixData, HeadingData, VelocityData
 from suspension_twin.errors import InputError
 from suspension_twin.files import read_yaml, reading
@@ -319,7 +319,7 @@ def read_mapped(mapping: Mapping, recordings: Sequence[RecordedFiles], label: st
     if mapping.fix is not None:
         streams.fix = _fix(files, mapping.fix)
     if mapping.vel is not None and not mapping.vel.derive:
-        streams.velocity = _velocity(files, mapping.vel)
+        _velocity(files, mapping.vel)
     if mapping.heading is not None:
         streams.heading = _heading(files, mapping.heading)
     return streams
@@ -461,22 +461,23 @@ def _fix(files: _Files, spec: FixSpec) -> FixData:
     )
 
 
-def _velocity(files: _Files, spec: VelocitySpec) -> VelocityData:
+def _velocity(files: _Files, spec: VelocitySpec) -> None:
     if spec.importer is not None:
         found = files.imported(spec).velocity
         if found is None:
             fault = "holds no velocities: give derive: true instead"
             raise InputError(spec.file or files.recordings[0].path, fault)
-        return replace(found, t=found.t - spec.lag)
+        files.streams.velocity = replace(found, t=found.t - spec.lag)
+        return
     table, t, scale = files.table(spec), _received_time(files, spec), SPEED_UNITS[spec.unit]
     if spec.speed is not None and spec.bearing is not None:
-        files.streams.notes.append("velocity: from speed and bearing")
         degrees = table.numbers(spec.bearing) * ANGLE_UNITS[spec.bearing_unit]
-        return velocities_from_course(t, table.numbers(spec.speed) * scale, degrees)
+        files.streams.add_course(t, table.numbers(spec.speed) * scale, degrees)
+        return
     assert spec.east is not None and spec.north is not None
     up = np.zeros(t.size) if spec.up is None else table.numbers(spec.up)
     enu = np.stack([table.numbers(spec.east), table.numbers(spec.north), up], axis=1) * scale
-    return VelocityData(t, enu)
+    files.streams.velocity = VelocityData(t, enu)
 
 
 def _heading(files: _Files, spec: HeadingSpec) -> HeadingData | None:

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Positions and velocities as receivers and phones give them: held, repeated, incomplete."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import replace
+from typing import Final, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from suspension_twin.arrays import Floats
+from suspension_twin.drive.types import FixData, VelocityData
+
+__all__ = ["LivePlaces", "held_places", "held_velocities", "one_per_epoch", "with_vertical"]
+
+Bools: TypeAlias = NDArray[np.bool_]
+
+#: A receiver computes at least one position a second; one that computes fewer is followed at this interval in s.
+_SLOWEST: Final = 1.0
+#: A vehicle that covered ground at this speed in m/s did not stand at the place that was repeated meanwhile. At a lower
+#: one, a receiver that writes five decimals of a degree (1.1 m) at 10 Hz repeats places of its own.
+_MOVING: Final = 5.0
+#: Parts of the interval between two computed positions. A position that is repeated after the first, or later, is a
+#: computed one of a vehicle that stands, given at the receiver's own pace. Of those given at another pace one is taken
+#: for computed that comes when the next one is overdue by the second.
+_OWN_PACE, _OVERDUE = 2 / 3, 0.5
+_METRES: Final = math.radians(6_371_000.0)  # m of a degree on the mean sphere
+#: Intervals between positions that a live stream is judged by, and how many are needed.
+_INTERVALS, _FEWEST = 25, 2
+
+
+def held_places(fix: FixData) -> Bools:
+    """Which fixes (n,) repeat the place of the one before them although the receiver had not computed a new one.
+
+    The interval between two computed positions is the median of those between different ones. Places that are repeated
+    while the vehicle moves are held. A vehicle that stands has one place for long, too, of which one in each interval
+    stays: the stream has no hole there.
+    """
+    step, places = np.diff(fix.t), np.column_stack([fix.latitude, fix.longitude, fix.status])
+    same = np.concatenate([[False], (np.diff(places, axis=0) == 0).all(axis=1)])[: len(fix)]
+    first = np.flatnonzero(~same)
+    if first.size == len(fix) or first.size < _FEWEST + 1:
+        return np.zeros(len(fix), dtype=np.bool_)
+    lasted = np.diff(fix.t[first])
+    interval = min(float(np.median(lasted)), _SLOWEST)
+    east = np.diff(fix.longitude[first]) * np.cos(np.radians(fix.latitude[first[:-1]]))
+    moved = _METRES * np.hypot(east, np.diff(fix.latitude[first])) > _MOVING * lasted
+    run = np.cumsum(~same) - 1
+    own_pace = np.concatenate([[True], step >= _OWN_PACE * interval])
+    number = np.maximum(np.floor((fix.t - fix.t[first][run]) / interval - _OVERDUE), 0.0)
+    overdue = np.concatenate([[True], np.diff(number) > 0])
+    return np.asarray(same & (np.append(moved, False)[run] | ~(own_pace | overdue)))
+
+
+def held_velocities(velocity: VelocityData, stamps: Floats) -> Bools:
+    """Which velocities (n,) repeat the one before them at one of the ``stamps`` (k,) s of held places."""
+    same = np.concatenate([[False], (np.diff(velocity.enu, axis=0) == 0).all(axis=1)])[: len(velocity)]
+    return np.asarray(same & np.isin(velocity.t, stamps))
+
+
+class LivePlaces:
+    """Tells held places apart as they come, by the same rule, but for what only later places show."""
+
+    def __init__(self) -> None:
+        self._place: tuple[float, ...] = ()
+        self._t = self._taken = self._changed = -math.inf
+        self._lasted: deque[float] = deque(maxlen=_INTERVALS)
+
+    def held(self, fix: FixData) -> Bools:
+        """Which of the fixes (n,) are held, or repeat the stamp of the one before them."""
+        held = np.zeros(len(fix), dtype=np.bool_)
+        for i, (t, *place) in enumerate(
+            zip(
+                fix.t.tolist(),
+                fix.latitude.tolist(),
+                fix.longitude.tolist(),
+                fix.status.tolist(),
+                strict=True,
+            )
+        ):
+            if t == self._t:
+                held[i] = True
+            elif tuple(place) != self._place:
+                if self._place:
+                    self._lasted.append(t - self._changed)
+                self._place, self._changed = tuple(place), t
+            elif len(self._lasted) >= _FEWEST:
+                interval = min(float(np.median(self._lasted)), _SLOWEST)
+                own_pace = t - self._t >= _OWN_PACE * interval
+                held[i] = not own_pace and t - self._taken < (1.0 + _OVERDUE) * interval
+            if not held[i]:
+                self._taken = t
+            self._t = t
+        return held
+
+
+def one_per_epoch(fix: FixData) -> Bools:
+    """Which fixes (n,) to keep of those that follow one another with one stamp: the first of the most complete ones."""
+    epoch = np.cumsum(np.diff(fix.t, prepend=-np.inf) != 0)
+    known = np.isfinite(np.column_stack([fix.altitude, fix.sigma])).sum(axis=1) + 8 * (fix.status >= 0)
+    order = np.lexsort((-known, epoch))
+    kept = np.zeros(len(fix), dtype=np.bool_)
+    kept[order[np.diff(epoch[order], prepend=0) > 0]] = True
+    return kept
+
+
+def with_vertical(velocity: VelocityData) -> tuple[VelocityData, int]:
+    """Velocities with 0 m/s for a vertical part that is not known, and the number of those."""
+    unknown = np.isfinite(velocity.enu[:, :2]).all(axis=1) & ~np.isfinite(velocity.enu[:, 2])
+    enu = np.where(unknown[:, None] & [False, False, True], 0.0, velocity.enu)
+    return (replace(velocity, enu=enu) if unknown.any() else velocity), int(unknown.sum())
