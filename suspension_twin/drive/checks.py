@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from suspension_twin.arrays import Floats
+from suspension_twin.drive.motion import on_one_clock
 from suspension_twin.drive.received import held_places, held_velocities, one_per_epoch, with_vertical
 from suspension_twin.drive.stamps import began_again, jumps_back, of_one_recording, own_stamps, unwrapped
 from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, VelocityData
@@ -155,12 +156,16 @@ def clean_drive(drive: Drive) -> Drive:
         heading = kept(
             heading, np.isfinite(heading.yaw) & np.isfinite(heading.t), "headings", "are not valid"
         )
+    drive = replace(drive, imu=imu, fix=fix, velocity=velocity, heading=heading)
+    drive, lines = on_one_clock(drive)
+    warnings += lines
+    fix, velocity = drive.fix, drive.velocity
     if len(imu):
         apart = "lie apart, outside the IMU's time"
         fix = kept(fix, _beside(imu, fix.t), "fixes", apart)
         velocity = kept(velocity, _beside(imu, velocity.t), "velocities", apart)
     fix = _with_altitude(fix, warnings)
-    return replace(drive, imu=imu, fix=fix, velocity=velocity, heading=heading, warnings=tuple(warnings))
+    return replace(drive, fix=fix, velocity=velocity, warnings=tuple(warnings))
 
 
 def _beside(imu: ImuData, t: Floats) -> Bools:

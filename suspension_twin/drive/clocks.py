@@ -35,7 +35,7 @@ __all__ = [
 #: POSIX time of 1980-01-06, the beginning of GPS time.
 GPS_EPOCH: Final = 315_964_800.0
 _WEEK: Final = 604_800.0
-#: s after which the week number that GPS sends begins again (10 bits, IS-GPS-200): the dates of a receiver that does not
+#: s after which the week number of GPS begins again (10 bits, IS-GPS-200): the dates of a receiver that does not
 #: know how often it did are so far back, or a multiple.
 ROLLOVER: Final = 1024 * _WEEK
 

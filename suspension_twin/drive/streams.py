@@ -14,11 +14,11 @@ from dataclasses import dataclass, field, replace
 from typing import Final, Literal, TypeVar
 
 import numpy as np
-import pymap3d
 from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.checks import clean_drive, measured
+from suspension_twin.drive.received import velocities_from_fixes
 from suspension_twin.drive.stamps import (
     began_again,
     jumps_back,
@@ -284,37 +284,3 @@ def velocities_from_course(t: Floats, speed: Floats, bearing: Floats) -> Velocit
     speed, angle = speed[known], np.radians(np.where(np.isfinite(bearing[known]), bearing[known], 0.0))
     enu = np.stack([speed * np.sin(angle), speed * np.cos(angle), np.zeros_like(speed)], axis=1)
     return VelocityData(t[known], enu)
-
-
-def velocities_from_fixes(fix: FixData) -> VelocityData:
-    """Slopes of parabolas through five neighbouring positions each (three where there are no more).
-
-    A central difference of the same noise would need the same five fixes and lag at the ends. Fixes
-    beyond a gap of five periods belong to another segment; segments under three fixes give none.
-    """
-    good = (fix.status >= 0) & np.isfinite(fix.latitude) & np.isfinite(fix.longitude) & np.isfinite(fix.t)
-    t, fresh = np.unique(fix.t[good], return_index=True)
-    if t.size < 3:
-        return VelocityData.empty()
-    latitude, longitude = fix.latitude[good][fresh], fix.longitude[good][fresh]
-    altitude = np.nan_to_num(fix.altitude[good][fresh])
-    origin = (latitude[0], longitude[0], altitude[0])
-    place = np.stack(pymap3d.geodetic2enu(latitude, longitude, altitude, *origin), axis=1)
-    breaks = np.flatnonzero(np.diff(t) > 5 * np.median(np.diff(t))) + 1
-    segments = [slice(*ends) for ends in zip([0, *breaks], [*breaks, t.size], strict=True)]
-    segments = [s for s in segments if s.stop - s.start >= 3]
-    if not segments:
-        return VelocityData.empty()
-    slopes = [_slopes(t[s], place[s]) for s in segments]
-    return VelocityData(np.concatenate([t[s] for s in segments]), np.concatenate(slopes))
-
-
-def _slopes(t: Floats, place: Floats) -> Floats:
-    """(n, 3) derivative at each stamp of the parabola fitted to its window."""
-    n, size = t.size, min(5, t.size)
-    start = np.clip(np.arange(n) - size // 2, 0, n - size)
-    window = start[:, None] + np.arange(size)
-    x = t[window] - t[:, None]
-    # least squares a + b x + c x², of which b is the derivative at the stamp itself
-    design = np.stack([np.ones_like(x), x, x * x], axis=2)
-    return np.asarray((np.linalg.pinv(design) @ place[window])[:, 1, :])
