@@ -24,7 +24,7 @@ from suspension_twin.drive.clocks import ROLLOVER, gps_to_posix, rolled_over
 from suspension_twin.drive.received import velocities_from_fixes
 from suspension_twin.drive.types import Drive
 
-__all__ = ["LEAST_CORRELATION", "PlanarMotion", "on_one_clock"]
+__all__ = ["LEAST_CORRELATION", "CommonMotion", "on_one_clock"]
 
 Complexes: TypeAlias = NDArray[np.complex128]
 
@@ -39,7 +39,7 @@ _REACH, _STEP = 1.5, 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class PlanarMotion:
+class CommonMotion:
     """Intervals between velocities, ``first`` to ``last`` (m,) s, with the mean ``acceleration`` (m,) m/s² in them, and
     the ``integral`` (n,) m/s of the IMU's horizontal specific force up to its stamps ``t`` (n,) s."""
 
@@ -50,7 +50,7 @@ class PlanarMotion:
     integral: Complexes
 
     @classmethod
-    def of(cls, t: Floats, force: Floats, at: Floats, velocity: Complexes) -> PlanarMotion:
+    def of(cls, t: Floats, force: Floats, at: Floats, velocity: Complexes) -> CommonMotion:
         """From specific force (n, 3) m/s² at ``t`` (n,) s and velocity (k,) m/s, east + 1j north, at ``at`` (k,) s, in
         rising order both."""
         first, middle, last = at[:-2], velocity[1:-1], at[2:]
@@ -59,7 +59,7 @@ class PlanarMotion:
         used = (np.abs(middle) > _MOVING) & (last - first < _APART)
         return cls(first[used], last[used], turned[used], t, _integral(t, force))
 
-    def within(self, lag: float, reach: float) -> PlanarMotion:
+    def within(self, lag: float, reach: float) -> CommonMotion:
         """The intervals that the IMU has, stamped later by ``lag`` s and up to ``reach`` s more or less."""
         inside = (self.first + lag - reach > self.t[0]) & (self.last + lag + reach < self.t[-1])
         seen = self.acceleration[inside]
@@ -150,7 +150,7 @@ def _gps_time(drive: Drive) -> tuple[float, bool]:
         return 0.0, False
     leaps = float(at[-1] - gps_to_posix(at[-1:])[0])
     enu = velocity.enu[order]
-    motion = PlanarMotion.of(t, imu.specific_force[own], at, enu[:, 0] + 1j * enu[:, 1])
+    motion = CommonMotion.of(t, imu.specific_force[own], at, enu[:, 0] + 1j * enu[:, 1])
     energy = np.sum(np.abs(motion.within(0.0, -np.inf).acceleration) ** 2)
     around = np.arange(-_REACH, _REACH + 0.5 * _STEP, _STEP)
 

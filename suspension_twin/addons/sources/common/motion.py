@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.drive.motion import LEAST_CORRELATION, PlanarMotion
+from suspension_twin.drive.motion import LEAST_CORRELATION, CommonMotion
 from suspension_twin.drive.types import ImuData, VelocityData
 
 __all__ = ["MotionLag", "MotionShift"]
@@ -73,7 +73,7 @@ class MotionLag:
         if len(self._velocity) < _LEAST or len(self._t) < 2 * _LEAST:
             return None
         t, v = np.array([p[0] for p in self._velocity]), np.array([p[1] for p in self._velocity])
-        motion = PlanarMotion.of(np.array(self._t), np.array(self._force), t, v).within(0.0, _REACH)
+        motion = CommonMotion.of(np.array(self._t), np.array(self._force), t, v).within(0.0, _REACH)
         if not motion.enough:
             return None
         lags = np.arange(-_REACH, _REACH + 0.5 * _STEP, _STEP)
