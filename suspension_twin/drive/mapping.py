@@ -29,6 +29,7 @@ from suspension_twin.drive.clocks import (
 )
 from suspension_twin.drive.foreign_files import DataTable, RecordedFiles, read_table
 from suspension_twin.drive.importers import IMPORTERS, read_source
+from suspension_twin.drive.stamps import began_again, unwrapped
 from suspension_twin.drive.streams import Series, Streams
 from suspension_twin.drive.types import FixData, HeadingData, VelocityData
 from suspension_twin.errors import InputError
@@ -408,6 +409,8 @@ def _posix(files: _Files, spec: TimeSpec, outer: FileSpec | None) -> Floats:
     finite = t[np.isfinite(t)]
     if not finite.size:
         raise InputError(table.label, f"column {spec.column}", "holds no times")
+    if spec.tie is not None or spec.drift_ppm:  # which are of the counter as it goes on
+        t = _going_on(files, t)
     if spec.base == "gps":
         return gps_to_posix(t + GPS_EPOCH)
     if spec.start is not None:
@@ -419,10 +422,20 @@ def _posix(files: _Files, spec: TimeSpec, outer: FileSpec | None) -> Floats:
         return gps_to_posix(first + (t - finite[0]) * (last - first) / (finite[-1] - finite[0]))
     if spec.tie is not None:
         own = files.table(spec.tie, outer).numbers(spec.tie.column) * TIME_UNITS[spec.tie.unit]
+        own = _going_on(files, own)
         posix = _time(files, spec.tie.posix, spec.tie)
         if own.size != posix.size:
             raise InputError(table.label, f"tie: {own.size} times of the clock for {posix.size} POSIX times")
         return np.asarray(t + np.nanmedian(posix - own))
+    return t
+
+
+def _going_on(files: _Files, t: Floats) -> Floats:
+    """Times (n,) s of a counter that may begin again."""
+    good, t = np.isfinite(t), t.copy()
+    t[good], span = unwrapped(t[good])
+    if span:
+        files.streams.warnings.append(began_again(span))
     return t
 
 

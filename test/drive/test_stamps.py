@@ -118,6 +118,23 @@ def test_positions_that_begin_after_the_counter_did(tmp_path: Path) -> None:
     np.testing.assert_allclose(drive.fix.t, span + 0.5 + np.arange(0, 3.0, 0.2), atol=1e-6)
 
 
+@pytest.mark.parametrize("drift", [0.0, 200.0])
+def test_a_counter_with_a_drift_or_tied_to_another_clock(drift: float, tmp_path: Path) -> None:
+    span, fast = 2.0**32 * 1e-6, 1 + drift * 1e-6
+    raw = np.mod(span - 2.0 + T * fast, span)
+    rows = [
+        ",".join(map(repr, map(float, row)))
+        for row in np.column_stack([raw, FORCE, RATE, np.round(START + T, 6)])
+    ]
+    (tmp_path / "imu.csv").write_text("\n".join(["t,ax,ay,az,gx,gy,gz,utc", *rows]))
+    tie = "base: clock, tie: {column: t, posix: {column: utc}}"
+    for base in (tie, f"drift_ppm: {drift}"):
+        (tmp_path / "map.yaml").write_text(MAPPING.replace("{column: t}", f"{{column: t, {base}}}"))
+        drive = import_drive([tmp_path / "imu.csv"], mapping=tmp_path / "map.yaml").drive
+        begin = START if base == tie else span - 2.0
+        np.testing.assert_allclose(drive.imu.t - begin, T, atol=2e-3 if base == tie else 1e-6)
+
+
 # --- clocks that were set back, strays
 
 
