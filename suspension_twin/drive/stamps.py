@@ -19,6 +19,7 @@ __all__ = [
     "moment",
     "of_one_recording",
     "own_stamps",
+    "spread",
     "strays",
     "unwrapped",
 ]
@@ -145,14 +146,14 @@ def own_stamps(t: Floats, values: Floats, samples: str) -> tuple[Floats, Bools, 
         )
         lines.append(f"{doubled} (two publishers, or a topic that was recorded twice): left out")
     own = t.copy()
-    own[first], size = _spread(t[first])
+    own[first], size = spread(t[first])
     if size:
         packets = f"{samples} come in packets of {size:.3g} with one stamp"
         lines.append(f"{packets}: spread over the interval to the next packet")
     return own, first, lines
 
 
-def _spread(t: Floats) -> tuple[Floats, float]:
+def spread(t: Floats) -> tuple[Floats, float]:
     """Stamps (n,) s of samples that came in packets, spread over the interval to the next packet, and the mean number
     of samples in one; the stamps as they are and 0 where fewer than half of the samples share theirs with another, or
     their number varies.
@@ -170,5 +171,6 @@ def _spread(t: Floats) -> tuple[Floats, float]:
     interval, usual = np.diff(t[first]), _usual_step(t[first])
     # a packet that was lost doubles the interval
     interval = np.append(np.where((interval > 0) & (interval < 1.75 * usual), interval, usual), usual)
-    within = np.arange(t.size) - np.repeat(first, size)
-    return t + within * np.repeat(interval / size, size), float(size.mean())
+    within, whole = np.arange(t.size) - np.repeat(first, size), size.astype(np.float64)
+    whole[-1] = max(whole[-1], middle)  # not all of it may be there
+    return t + within * np.repeat(interval / whole, size), float(size.mean())

@@ -10,7 +10,7 @@ import pytest
 
 from suspension_twin.addons.sources.common.hub import Device, Hub
 from suspension_twin.addons.sources.common.sensor_logger import Phones
-from suspension_twin.drive.types import FixData, VelocityData
+from suspension_twin.drive.types import FixData, ImuData, VelocityData
 
 START = 1_700_000_000.0
 
@@ -62,6 +62,26 @@ def test_a_receivers_own_positions_are_all_handed_on(hub: Hub, device: Device) -
     for i in range(300):
         device.fix(fix(START + i / 10, 47.0 + 1e-6 * max(i - 100, 0) * (i < 200)), START + i / 10)
     assert len(taken(hub, "fix")) == 300
+
+
+@pytest.mark.parametrize("batch", [1, 3, 4, 30])
+@pytest.mark.parametrize("size", [1, 3, 5])
+def test_samples_that_come_in_packets_with_one_stamp(hub: Hub, device: Device, size: int, batch: int) -> None:
+    n = 600
+    true = START + np.arange(n) / 100
+    stamps = true[np.arange(n) // size * size]
+    for i in range(0, n, batch):
+        part = slice(i, i + batch)
+        values = np.stack([np.arange(i, min(i + batch, n))] * 3, axis=1).astype(float)
+        device.force(stamps[part], values, true[part][-1])
+        device.rate(stamps[part], values, true[part][-1])
+        device.flush(true[part][-1], complete=True)
+    found = ImuData.joined([p.samples for p in hub.take() if isinstance(p.samples, ImuData)])
+    later = found.select(found.t > START + 1.0)  # it has to see some packets first
+    which = later.specific_force[:, 0]
+    assert len(later) >= n - 101 - 2 * size
+    np.testing.assert_allclose(later.t, true[which.round().astype(int)], atol=2e-3)
+    np.testing.assert_allclose(np.diff(which), 1.0)
 
 
 def test_an_epoch_counts_once(hub: Hub, device: Device) -> None:

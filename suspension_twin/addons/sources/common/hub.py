@@ -22,6 +22,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.drive.checks import measured
 from suspension_twin.drive.clocks import ROLLOVER, rolled_over
 from suspension_twin.drive.received import LivePlaces, held_velocities, with_vertical
+from suspension_twin.drive.stamps import spread
 from suspension_twin.drive.streams import velocities_from_course
 from suspension_twin.drive.types import FixData, HeadingData, ImuData, Samples, VelocityData
 from suspension_twin.errors import InputError
@@ -43,6 +44,8 @@ _BESIDE, _BESIDE_PERIODS = 0.05, 2.5
 _AHEAD = 1.05
 #: Samples of one sensor that wait for the other, and s of past gyroscope samples that are kept.
 _WAITING, _PAST = 4000, 2.0
+#: Stamps before those of a batch by which it is seen that samples come in packets with one stamp.
+_PACKETS = 200
 #: Samples after which the period of a sensor is measured anew.
 _MEASURED_EVERY = 25
 #: s over which rates are counted.
@@ -253,12 +256,16 @@ class _Buffer:
         self.values = np.empty((0, 3))
         self.period = 0.0
         self.arrival = -math.inf
+        self._given = np.empty(0)  # stamps as they came
         self._unmeasured = 0
 
     def add(self, t: Floats, values: Floats, arrival: float) -> None:
         if not t.size:
             return
         self.arrival = arrival
+        self._given = np.concatenate([self._given, t])[-_PACKETS - t.size :]
+        if (np.diff(self._given[-t.size - 1 :]) == 0).any():
+            t = spread(self._given)[0][-t.size :]
         rising = not self.t.size or t[0] > self.t[-1]
         rising &= t.size == 1 or bool((t[1:] > t[:-1]).all())
         new = int(t.size)
