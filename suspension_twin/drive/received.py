@@ -77,32 +77,31 @@ class LivePlaces:
         self._t = self._taken = self._changed = -math.inf
         self._lasted: deque[float] = deque(maxlen=_INTERVALS)
 
-    def held(self, fix: FixData) -> Bools:
-        """Which of the fixes (n,) are held, or repeat the stamp of the one before them."""
-        held = np.zeros(len(fix), dtype=np.bool_)
-        for i, (t, *place) in enumerate(
-            zip(
-                fix.t.tolist(),
-                fix.latitude.tolist(),
-                fix.longitude.tolist(),
-                fix.status.tolist(),
-                strict=True,
-            )
-        ):
-            if t == self._t:
-                held[i] = True
-            elif tuple(place) != self._place:
-                if self._place:
-                    self._lasted.append(t - self._changed)
-                self._place, self._changed = tuple(place), t
-            elif len(self._lasted) >= _FEWEST:
-                interval = min(float(np.median(self._lasted)), _SLOWEST)
-                own_pace = t - self._t >= _OWN_PACE * interval
-                held[i] = not own_pace and t - self._taken < (1.0 + _OVERDUE) * interval
-            if not held[i]:
-                self._taken = t
-            self._t = t
+    def repeats(self, t: float, place: tuple[float, ...]) -> bool:
+        """Whether the next fix is held, or repeats the stamp of the one before it; ``place`` is all that tells it from
+        another."""
+        if t == self._t:
+            return True
+        held = False
+        if place != self._place:
+            if self._place:
+                self._lasted.append(t - self._changed)
+            self._place, self._changed = place, t
+        elif len(self._lasted) >= _FEWEST:
+            interval = min(float(np.median(self._lasted)), _SLOWEST)
+            own_pace = t - self._t >= _OWN_PACE * interval
+            held = not own_pace and t - self._taken < (1.0 + _OVERDUE) * interval
+        if not held:
+            self._taken = t
+        self._t = t
         return held
+
+    def held(self, fix: FixData) -> Bools:
+        """Which of the next fixes (n,) are."""
+        rows = zip(
+            fix.t.tolist(), fix.latitude.tolist(), fix.longitude.tolist(), fix.status.tolist(), strict=True
+        )
+        return np.array([self.repeats(t, tuple(place)) for t, *place in rows], dtype=np.bool_)
 
 
 def one_per_epoch(fix: FixData) -> Bools:
