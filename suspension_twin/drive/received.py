@@ -78,10 +78,7 @@ class LivePlaces:
         self._lasted: deque[float] = deque(maxlen=_INTERVALS)
 
     def repeats(self, t: float, place: tuple[float, ...]) -> bool:
-        """Whether the next fix is held, or repeats the stamp of the one before it; ``place`` is all that tells it from
-        another."""
-        if t == self._t:
-            return True
+        """Whether the next fix is held; ``place`` is all that tells it from another."""
         held = False
         if place != self._place:
             if self._place:
@@ -97,11 +94,11 @@ class LivePlaces:
         return held
 
     def held(self, fix: FixData) -> Bools:
-        """Which of the next fixes (n,) are."""
+        """Which of the next fixes (n,) are held, or have the stamp of the one before them."""
         rows = zip(
             fix.t.tolist(), fix.latitude.tolist(), fix.longitude.tolist(), fix.status.tolist(), strict=True
         )
-        return np.array([self.repeats(t, tuple(place)) for t, *place in rows], dtype=np.bool_)
+        return np.array([t == self._t or self.repeats(t, tuple(place)) for t, *place in rows], dtype=np.bool_)
 
 
 def one_per_epoch(fix: FixData) -> Bools:
