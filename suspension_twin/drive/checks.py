@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from suspension_twin.arrays import Floats
+from suspension_twin.drive.motion import on_one_clock
+from suspension_twin.drive.received import held_places, held_velocities, one_per_epoch, with_vertical
+from suspension_twin.drive.stamps import began_again, jumps_back, of_one_recording, own_stamps, unwrapped
 from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, VelocityData
 
 __all__ = [
@@ -66,36 +69,50 @@ def repair_stamps(header: Stamps, recorded: Stamps) -> tuple[Floats, Bools, list
 
     ``header`` and ``recorded`` are ns, in the order of recording. All header stamps zero (or
     before 1970): the record stamps are the times. Some: they get the record stamp, shifted by the median
-    difference of the two. A stamp more than 10 s off its neighbours is left out. A clock
-    that goes back for good (a looped recording) is kept as it is, with a warning.
+    difference of the two; one that has neither is left out. A stamp more than 10 s off its neighbours is left out,
+    and so are a few out of all proportion to the pause between them and the others. A counter that begins again goes
+    on. A clock that goes back for good (a looped recording) is kept as it is, with a warning.
     """
     warnings: list[str] = []
     n = header.size
     keep = np.ones(n, dtype=np.bool_)
     missing = header <= 0
     stamps = header.copy()
-    if missing.all() and n:
+    unknown = missing & (recorded <= 0)
+    if unknown.any() and n > 1:
+        text = f"{_count(int(unknown.sum()), n, 'messages')} have neither header stamp nor time of recording"
+        warnings.append(f"{text} (recorded before the first /clock?): left out")
+        keep, missing = ~unknown, missing & ~unknown
+    known = header[keep & ~missing] - recorded[keep & ~missing]
+    if missing.any() and not known.size:
         warnings.append("no header stamps: the times of recording are taken")
-        stamps = recorded.copy()
-        if (stamps <= 0).all() and n > 1:
-            return seconds(stamps), ~keep, ["neither header stamps nor times of recording: left out"]
+        stamps[missing] = recorded[missing]
     elif missing.any():
-        stamps[missing] = recorded[missing] + np.int64(np.median((header - recorded)[~missing]))
+        stamps[missing] = recorded[missing] + np.int64(np.median(known))
         warnings.append(
             f"{_count(int(missing.sum()), n, 'header stamps')} are missing: taken from the recording"
         )
-    if n >= 3:
-        offset = (stamps - recorded).astype(np.float64)
-        local = median_filter(offset, size=min(_NEIGHBOURS, n), mode="nearest")
-        absurd = np.abs(offset - local) > _OUTLIER_NS
-        if absurd.any():
-            keep &= ~absurd
-            warnings.append(f"{_count(int(absurd.sum()), n, 'stamps')} are absurd: left out")
-    kept = stamps[keep]
-    back = np.diff(kept) < -1_000_000_000
-    if back.any():
-        warnings.append(f"time jumps back {int(back.sum())} times by more than 1 s (a looped recording?)")
-    return seconds(stamps), keep, warnings
+
+    def lost(bad: Bools, fault: str) -> None:
+        if bad.any():
+            keep[np.flatnonzero(keep)[bad]] = False
+            warnings.append(f"{_count(int(bad.sum()), n, 'stamps')} {fault}: left out")
+
+    if keep.sum() >= 3:
+        offset = (stamps - recorded)[keep].astype(np.float64)
+        local = median_filter(offset, size=min(_NEIGHBOURS, offset.size), mode="nearest")
+        lost(np.abs(offset - local) > _OUTLIER_NS, "are absurd")
+    t = seconds(stamps)
+    t[keep], span = unwrapped(t[keep])
+    if span:
+        warnings.append(began_again(span))
+    lost(~of_one_recording(t[keep]), "lie far from the others")
+    back = jumps_back(t[keep])
+    if back.size:
+        first = t[keep][back[0] - 1 : back[0] + 1]
+        times = f"{back.size} times, first by {first[0] - first[1]:.2f} s after {first[0]:.2f}"
+        warnings.append(f"time jumps back {times} (a looped recording?)")
+    return t, keep, warnings
 
 
 def measured(values: Floats) -> Bools:
@@ -104,7 +121,7 @@ def measured(values: Floats) -> Bools:
 
 
 def clean_drive(drive: Drive) -> Drive:
-    """The drive without samples that are not numbers or no place on Earth; warnings added."""
+    """The drive without samples that are not numbers, no place on Earth, or there twice; warnings added."""
     warnings = list(drive.warnings)
 
     def kept(samples: Kind, good: Bools, kind: str, fault: str) -> Kind:
@@ -116,18 +133,46 @@ def clean_drive(drive: Drive) -> Drive:
     imu, fix, velocity, heading = drive.imu, drive.fix, drive.velocity, drive.heading
     good = np.isfinite(imu.t) & measured(imu.specific_force) & measured(imu.angular_rate)
     imu = kept(imu, good, "IMU samples", "are no numbers")
+    t, good, lines = own_stamps(imu.t, np.hstack([imu.specific_force, imu.angular_rate]), "IMU samples")
+    imu = replace(imu, t=t).select(good)
+    warnings += lines
     with np.errstate(invalid="ignore"):
         good = (np.abs(fix.latitude) <= 90) & (np.abs(fix.longitude) <= 180) & np.isfinite(fix.t)
     # receivers and phones report 0, 0 before their first fix
     good &= ~((fix.latitude == 0) & (fix.longitude == 0))
-    fix = _with_altitude(kept(fix, good, "fixes", "have no valid position"), warnings)
+    fix = kept(fix, good, "fixes", "have no valid position")
+    fix = kept(fix, one_per_epoch(fix), "fixes", "have the stamp of another, more complete or before them")
+    velocity, unknown = with_vertical(velocity)
+    if unknown:
+        text = _count(unknown, len(velocity), "velocities")
+        warnings.append(f"{text} have no vertical part: taken as 0 m/s")
     good = measured(velocity.enu) & np.isfinite(velocity.t)
     velocity = kept(velocity, good, "velocities", "are no numbers")
+    velocity = kept(velocity, np.diff(velocity.t, prepend=-np.inf) != 0, "velocities", "repeat a stamp")
+    held = held_places(fix)
+    velocity = kept(velocity, ~held_velocities(velocity, fix.t[held]), "velocities", "repeat the one before")
+    fix = kept(fix, ~held, "fixes", "repeat the position before (held until the receiver computes another)")
     if heading is not None:
         heading = kept(
             heading, np.isfinite(heading.yaw) & np.isfinite(heading.t), "headings", "are not valid"
         )
-    return replace(drive, imu=imu, fix=fix, velocity=velocity, heading=heading, warnings=tuple(warnings))
+    drive = replace(drive, imu=imu, fix=fix, velocity=velocity, heading=heading)
+    drive, lines = on_one_clock(drive)
+    warnings += lines
+    fix, velocity = drive.fix, drive.velocity
+    if len(imu):
+        apart = "lie apart, outside the IMU's time"
+        fix = kept(fix, _beside(imu, fix.t), "fixes", apart)
+        velocity = kept(velocity, _beside(imu, velocity.t), "velocities", apart)
+    fix = _with_altitude(fix, warnings)
+    return replace(drive, fix=fix, velocity=velocity, warnings=tuple(warnings))
+
+
+def _beside(imu: ImuData, t: Floats) -> Bools:
+    """Which of the stamps (n,) s go on, without a gap, from those within the IMU's time; all where none is."""
+    inside = (t >= imu.t.min()) & (t <= imu.t.max())
+    part = np.cumsum(np.concatenate([[False], ~_bridged(t)]))[: t.size]
+    return np.asarray(np.isin(part, part[inside]) | ~inside.any())
 
 
 def _with_altitude(fix: FixData, warnings: list[str]) -> FixData:
@@ -146,6 +191,8 @@ def _with_altitude(fix: FixData, warnings: list[str]) -> FixData:
 
 #: An interval longer than so many usual ones is a gap.
 _GAP = 3.0
+#: s that the pose goes on without a fix (``outage`` of :class:`~suspension_twin.pose.types.PoseSettings`).
+_WITHOUT_FIX = 2.5
 
 
 @dataclass(frozen=True)
@@ -218,9 +265,8 @@ class Summary:
             f"GPS: {self.fix.count} positions at {self.fix.rate:.2f} Hz over {self.fix.duration:.1f} s{lost}; "
             f"{self.fix.gaps_in_words}"
         )
-        if self.velocity.count:
-            lines.append(f"path: {self.path / 1000:.2f} km, up to {self.top_speed:.1f} m/s")
-        return lines
+        speed = f", up to {self.top_speed:.1f} m/s" if np.isfinite(self.top_speed) else ""
+        return lines if np.isnan(self.path) else [*lines, f"path: {self.path / 1000:.2f} km{speed}"]
 
 
 def rhythm_of(t: Floats) -> Rhythm:
@@ -250,11 +296,18 @@ def path_length(fix: FixData) -> float:
     if good.sum() < 2:
         return 0.0
     latitude, longitude = fix.latitude[good], fix.longitude[good]
-    altitude = fix.altitude[good]
+    altitude = np.nan_to_num(fix.altitude[good])
     east, north, _ = pymap3d.geodetic2enu(
         latitude, longitude, altitude, latitude[0], longitude[0], altitude[0]
     )
-    return float(np.hypot(np.diff(east), np.diff(north)).sum())
+    return float(np.hypot(np.diff(east), np.diff(north))[_bridged(fix.t[good])].sum())
+
+
+def _bridged(t: Floats) -> Bools:
+    """Which intervals (n - 1,) between stamps (n,) s a path goes on over: it stops at gaps."""
+    step = np.diff(t)
+    usual = float(np.median(step)) if step.size else 0.0
+    return np.asarray((step > 0) & (step <= max(_GAP * usual, _WITHOUT_FIX)))
 
 
 def summarise(drive: Drive) -> Summary:
@@ -269,7 +322,7 @@ def summarise(drive: Drive) -> Summary:
     -------
     Summary
         ``lines()`` gives the figures in words. The path is the integral of the speed in m, or, without
-        velocities, the length of the polygon through the fixes.
+        velocities, the length of the polygon through the fixes; it leaves gaps out.
 
     Examples
     --------
@@ -281,7 +334,7 @@ def summarise(drive: Drive) -> Summary:
     path = top = float("nan")
     if len(velocity) > 1:
         speed = np.hypot(velocity.enu[:, 0], velocity.enu[:, 1])
-        step = np.clip(np.diff(velocity.t), 0.0, None)
+        step = np.where(_bridged(velocity.t), np.diff(velocity.t), 0.0)
         path, top = float((step * (speed[1:] + speed[:-1]) / 2).sum()), float(speed.max())
     elif len(drive.fix) > 1:
         path = path_length(drive.fix)

@@ -21,10 +21,12 @@ from suspension_twin.errors import InputError
 
 __all__ = [
     "GPS_EPOCH",
+    "ROLLOVER",
     "TIME_UNITS",
     "ExperimentTime",
     "gps_to_posix",
     "iso_to_posix",
+    "rolled_over",
     "rtklib_tag",
     "text_to_posix",
     "week_to_posix",
@@ -33,6 +35,9 @@ __all__ = [
 #: POSIX time of 1980-01-06, the beginning of GPS time.
 GPS_EPOCH: Final = 315_964_800.0
 _WEEK: Final = 604_800.0
+#: s after which the week number of GPS begins again (10 bits, IS-GPS-200): the dates of a receiver that does not
+#: know how often it did are so far back, or a multiple.
+ROLLOVER: Final = 1024 * _WEEK
 
 TIME_UNITS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9, "min": 60.0}
 
@@ -114,6 +119,12 @@ def gps_to_posix(t: Floats) -> Floats:
 def week_to_posix(week: Floats, seconds: Floats) -> Floats:
     """POSIX time of GPS week and second of the week."""
     return gps_to_posix(GPS_EPOCH + week * _WEEK + seconds)
+
+
+def rolled_over(t: float, now: float) -> float:
+    """By how many s a receiver's time ``t`` s is back because its week number began again, at about ``now`` s; or 0."""
+    back = ROLLOVER * max(round((now - t) / ROLLOVER), 0)
+    return back if abs(now - t - back) < 86_400.0 else 0.0
 
 
 def rtklib_tag(data: bytes, label: str) -> tuple[float, float]:

@@ -12,7 +12,7 @@ from suspension_twin.drive.importers import read_source
 from suspension_twin.drive.mapping import BagSpec, load_mapping, read_mapped
 from suspension_twin.drive.read import Topics, read_drive
 from suspension_twin.drive.recording import is_recording
-from suspension_twin.drive.streams import assemble, merge, velocities_from_fixes
+from suspension_twin.drive.streams import assemble, merge, with_velocities
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
 from suspension_twin.files import reading
@@ -111,11 +111,8 @@ def _bag(path: str | Path, topics: Topics, lag: float = 0.0) -> Imported:
     if lag:
         drive = replace(drive, imu=replace(drive.imu, t=drive.imu.t - lag))
         notes.append(f"IMU time: {lag:g} s lag taken out")
-    if len(drive.fix) and not len(drive.velocity):
-        drive = replace(drive, velocity=velocities_from_fixes(drive.fix))
-        if len(drive.velocity):
-            notes.append("velocity: none recorded, derived from the positions")
-    return Imported(drive, "bag", tuple(notes))
+    drive, derived = with_velocities(drive)
+    return Imported(drive, "bag", (*notes, *derived))
 
 
 def _mapped_bag(path: Path, spec: BagSpec, name: str | None) -> Imported:

@@ -29,7 +29,8 @@ from suspension_twin.drive.clocks import (
 )
 from suspension_twin.drive.foreign_files import DataTable, RecordedFiles, read_table
 from suspension_twin.drive.importers import IMPORTERS, read_source
-from suspension_twin.drive.streams import Series, Streams, velocities_from_course
+from suspension_twin.drive.stamps import began_again, unwrapped
+from suspension_twin.drive.streams import Series, Streams
 from suspension_twin.drive.types import FixData, HeadingData, VelocityData
 from suspension_twin.errors import InputError
 from suspension_twin.files import read_yaml, reading
@@ -319,7 +320,7 @@ def read_mapped(mapping: Mapping, recordings: Sequence[RecordedFiles], label: st
     if mapping.fix is not None:
         streams.fix = _fix(files, mapping.fix)
     if mapping.vel is not None and not mapping.vel.derive:
-        streams.velocity = _velocity(files, mapping.vel)
+        _velocity(files, mapping.vel)
     if mapping.heading is not None:
         streams.heading = _heading(files, mapping.heading)
     return streams
@@ -408,6 +409,8 @@ def _posix(files: _Files, spec: TimeSpec, outer: FileSpec | None) -> Floats:
     finite = t[np.isfinite(t)]
     if not finite.size:
         raise InputError(table.label, f"column {spec.column}", "holds no times")
+    if spec.tie is not None or spec.drift_ppm:  # which are of the counter as it goes on
+        t = _going_on(files, t)
     if spec.base == "gps":
         return gps_to_posix(t + GPS_EPOCH)
     if spec.start is not None:
@@ -419,10 +422,20 @@ def _posix(files: _Files, spec: TimeSpec, outer: FileSpec | None) -> Floats:
         return gps_to_posix(first + (t - finite[0]) * (last - first) / (finite[-1] - finite[0]))
     if spec.tie is not None:
         own = files.table(spec.tie, outer).numbers(spec.tie.column) * TIME_UNITS[spec.tie.unit]
+        own = _going_on(files, own)
         posix = _time(files, spec.tie.posix, spec.tie)
         if own.size != posix.size:
             raise InputError(table.label, f"tie: {own.size} times of the clock for {posix.size} POSIX times")
         return np.asarray(t + np.nanmedian(posix - own))
+    return t
+
+
+def _going_on(files: _Files, t: Floats) -> Floats:
+    """Times (n,) s of a counter that may begin again."""
+    good, t = np.isfinite(t), t.copy()
+    t[good], span = unwrapped(t[good])
+    if span:
+        files.streams.warnings.append(began_again(span))
     return t
 
 
@@ -461,22 +474,23 @@ def _fix(files: _Files, spec: FixSpec) -> FixData:
     )
 
 
-def _velocity(files: _Files, spec: VelocitySpec) -> VelocityData:
+def _velocity(files: _Files, spec: VelocitySpec) -> None:
     if spec.importer is not None:
         found = files.imported(spec).velocity
         if found is None:
             fault = "holds no velocities: give derive: true instead"
             raise InputError(spec.file or files.recordings[0].path, fault)
-        return replace(found, t=found.t - spec.lag)
+        files.streams.velocity = replace(found, t=found.t - spec.lag)
+        return
     table, t, scale = files.table(spec), _received_time(files, spec), SPEED_UNITS[spec.unit]
     if spec.speed is not None and spec.bearing is not None:
-        files.streams.notes.append("velocity: from speed and bearing")
         degrees = table.numbers(spec.bearing) * ANGLE_UNITS[spec.bearing_unit]
-        return velocities_from_course(t, table.numbers(spec.speed) * scale, degrees)
+        files.streams.add_course(t, table.numbers(spec.speed) * scale, degrees)
+        return
     assert spec.east is not None and spec.north is not None
     up = np.zeros(t.size) if spec.up is None else table.numbers(spec.up)
     enu = np.stack([table.numbers(spec.east), table.numbers(spec.north), up], axis=1) * scale
-    return VelocityData(t, enu)
+    files.streams.velocity = VelocityData(t, enu)
 
 
 def _heading(files: _Files, spec: HeadingSpec) -> HeadingData | None:

@@ -22,6 +22,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.drive.contents import Contents, decode_topic
 from suspension_twin.drive.foreign_files import read_table
 from suspension_twin.drive.recording import is_recording, read_recording
+from suspension_twin.drive.stamps import of_one_recording
 from suspension_twin.errors import InputError
 from suspension_twin.files import comment_lines, read_bytes, reading, replacing
 from suspension_twin.units import STANDARD_GRAVITY
@@ -162,6 +163,9 @@ def _stamped(contents: Contents, topic: str, name: str) -> tuple[Floats, Floats]
         raise InputError(topic, "no message could be read")
     ns, first = np.unique(np.concatenate([g.stamp_ns for g in groups]), return_index=True)
     values = np.concatenate([g[name] for g in groups]).astype(np.float64)[first]
-    if ns.size < 4:
-        raise InputError(topic, f"holds {ns.size} messages with stamps of their own, which are too few")
-    return ns / 1e9, values
+    own = of_one_recording(ns / 1e9)
+    if not own.all():
+        contents.warnings.append(f"{topic}: {int((~own).sum())} stamps lie far from the others: left out")
+    if own.sum() < 4:
+        raise InputError(topic, f"holds {own.sum()} messages with stamps of their own, which are too few")
+    return ns[own] / 1e9, values[own]

@@ -14,11 +14,20 @@ from dataclasses import dataclass, field, replace
 from typing import Final, Literal, TypeVar
 
 import numpy as np
-import pymap3d
 from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats, interpolated
 from suspension_twin.drive.checks import clean_drive, measured
+from suspension_twin.drive.received import velocities_from_fixes
+from suspension_twin.drive.stamps import (
+    began_again,
+    jumps_back,
+    moment,
+    of_one_recording,
+    own_stamps,
+    strays,
+    unwrapped,
+)
 from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, VelocityData
 from suspension_twin.errors import InputError
 from suspension_twin.units import STANDARD_GRAVITY
@@ -31,15 +40,14 @@ __all__ = [
     "phone_fix",
     "velocities_from_course",
     "velocities_from_fixes",
+    "with_velocities",
 ]
 
-Received = TypeVar("Received", FixData, VelocityData)
+Received = TypeVar("Received", FixData, VelocityData, HeadingData)
 
 #: Median of |specific force| by which its unit is recognised: a sensor at rest reads 1 g.
 _IN_G: Final = (0.5, 2.0)
 _IN_SI: Final = (5.0, 20.0)
-#: No drive is that long: a stamp further from the others is damage.
-_LONGEST: Final = 30 * 86_400.0  # s
 #: Below this speed a receiver's bearing means nothing.
 _STANDING: Final = 0.3  # m/s
 #: Angular rates beyond the range of any phone's gyroscope: 2300 degrees a second.
@@ -76,6 +84,14 @@ class Streams:
     notes: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
 
+    def add_course(self, t: Floats, speed: Floats, bearing: Floats, words: str = "speed and bearing") -> None:
+        """Velocities as :func:`velocities_from_course` has them; those that are lost are said."""
+        self.velocity = velocities_from_course(t, speed, bearing)
+        self.notes.append(f"velocity: from {words}")
+        given = int((np.isfinite(t) & np.isfinite(speed)).sum())
+        if lost := given - len(self.velocity):
+            self.warnings.append(f"{lost} of {given} velocities have no speed or no course: left out")
+
 
 def merge(parts: Sequence[Streams]) -> Streams:
     """One out of several recordings; of a stream that more than one has, the last one's counts."""
@@ -107,28 +123,31 @@ def assemble(streams: Streams, name: str, source: str) -> tuple[Drive, list[str]
         raise InputError(source, "no accelerometer data")
     if streams.rate is None:
         raise InputError(source, "no gyroscope data: record it together with the accelerometer")
-    force = _in_order(streams.force, "accelerometer", source, warnings)
-    rate = _in_order(streams.rate, "gyroscope", source, warnings)
+    force, span = _in_order(streams.force, "accelerometer", source, warnings)
+    rate, _ = _in_order(streams.rate, "gyroscope", source, warnings)
     force = _in_si(force, notes, warnings)
     fastest = float(np.abs(rate.values).max())
     if fastest > _FASTEST:
         warnings.append(f"angular rates up to {fastest:.0f} rad/s: are they in deg/s?")
     if not np.array_equal(force.t, rate.t):
         force, rate = _on_common_stamps(force, rate, source, notes, warnings)
-    velocity = streams.velocity
-    if velocity is None and streams.fix is not None and len(streams.fix):
-        velocity = velocities_from_fixes(streams.fix)
-        if len(velocity):
-            notes.append("velocity: none recorded, derived from the positions")
+
+    def received(samples: Received, kind: str) -> Received:
+        t, order, _ = _rising(samples.t, kind, source, warnings)
+        # the first of them may have come after the counter began again
+        late = order.size and t[order[-1]] < force.t[0] <= t[order[-1]] + span
+        return replace(samples, t=t + span if late else t).select(order)
+
     drive = Drive(
         name=name,
         imu=ImuData(force.t, force.values, rate.values, None, force.frame),
-        fix=_in_time_order(streams.fix or FixData.empty(), "fixes", warnings),
-        velocity=_in_time_order(velocity or VelocityData.empty(), "velocities", warnings),
-        heading=streams.heading,
+        fix=received(streams.fix or FixData.empty(), "fixes"),
+        velocity=received(streams.velocity or VelocityData.empty(), "velocities"),
+        heading=None if streams.heading is None else received(streams.heading, "headings"),
         warnings=tuple(warnings),
     )
-    drive = clean_drive(drive)
+    drive, derived = with_velocities(clean_drive(drive))
+    notes += derived
     if not len(drive.fix):
         notes.append("no GPS positions: the pose cannot be locked to this drive")
     else:
@@ -139,38 +158,61 @@ def assemble(streams: Streams, name: str, source: str) -> tuple[Drive, list[str]
     return drive, notes
 
 
-def _in_order(series: Series, sensor: str, source: str, warnings: list[str]) -> Series:
-    """Finite samples in rising order of time, each stamp once; InputError for fewer than two."""
+def with_velocities(drive: Drive) -> tuple[Drive, list[str]]:
+    """The drive, with velocities derived from the positions where it has none, and a line that says so."""
+    if len(drive.velocity) or not len(drive.fix):
+        return drive, []
+    velocity = velocities_from_fixes(drive.fix)
+    lines = ["velocity: none recorded, derived from the positions"] if len(velocity) else []
+    return replace(drive, velocity=velocity), lines
+
+
+def _in_order(series: Series, sensor: str, source: str, warnings: list[str]) -> tuple[Series, float]:
+    """Finite samples in rising order of time, each at a stamp of its own, and the span in s after which their counter
+    began again, or 0; InputError for fewer than two samples."""
     samples = f"{sensor} samples"
-    timed = _timed(series.t, samples, warnings)
-    good = timed & measured(series.values)
+    timed, order, span = _rising(series.t, samples, source, warnings)
+    t, values = timed[order], series.values[order]
+    good = measured(values)
 
     def lost(count: int, fault: str) -> None:
         if count:
-            warnings.append(f"{count} of {good.size} {samples} {fault}")
+            warnings.append(f"{count} of {series.t.size} {samples} {fault}")
 
-    lost(int(timed.sum() - good.sum()), "are no numbers: left out")
-    t, values = series.t[good], series.values[good]
-    if t.size and (np.diff(t) <= 0).any():
-        order = np.argsort(t, kind="stable")
-        lost(int((np.diff(t) < 0).sum()), "came out of order: sorted")
-        t, values = t[order], values[order]
-        first = np.concatenate([[True], np.diff(t) > 0])
-        lost(int(t.size - first.sum()), "repeat a stamp: left out")
-        t, values = t[first], values[first]
-    if t.size < 2:
+    lost(int(good.size - good.sum()), "are no numbers: left out")
+    t, values = t[good], values[good]
+    t, first, lines = own_stamps(t, values, samples)
+    warnings += lines
+    t, values = t[first], values[first]
+    fresh = np.diff(t, prepend=-np.inf) > 0
+    lost(int(t.size - fresh.sum()), "repeat a stamp: left out")
+    if fresh.sum() < 2:
         raise InputError(source, f"no usable {sensor} data")
-    return replace(series, t=t, values=values)
+    return replace(series, t=t[fresh], values=values[fresh]), span
 
 
-def _timed(t: Floats, samples: str, warnings: list[str]) -> NDArray[np.bool_]:
-    """Which stamps are finite and near the others."""
-    good = np.isfinite(t)
-    if good.any():
-        good &= np.abs(np.where(good, t, 0.0) - np.median(t[good])) < _LONGEST
-    if not good.all():
-        warnings.append(f"{int((~good).sum())} of {t.size} {samples} have no usable stamp: left out")
-    return good
+def _rising(
+    t: Floats, samples: str, source: str, warnings: list[str]
+) -> tuple[Floats, NDArray[np.intp], float]:
+    """Stamps (n,) s, those of a counter that begins again made to go on, the indices of the usable ones in rising
+    order, and the counter's span in s, or 0. Raises InputError where the clock was set back."""
+    t, index = t.copy(), np.flatnonzero(np.isfinite(t))
+    index = index[~strays(t[index])]
+    t[index], span = unwrapped(t[index])
+    if span:
+        warnings.append(f"{samples}: {began_again(span)}")
+    index = index[of_one_recording(t[index])]
+    if index.size < t.size:
+        warnings.append(f"{t.size - index.size} of {t.size} {samples} have no usable stamp: left out")
+    if (back := jumps_back(t[index])).size:
+        before, after = t[index][back[0] - 1 : back[0] + 1]
+        fault = f"the clock of the {samples} goes back by {before - after:.3f} s after {moment(before)}"
+        raise InputError(
+            source, f"{fault}, sample {index[back[0]]}: import the parts before and after it apart"
+        )
+    if late := int((np.diff(t[index]) < 0).sum()):
+        warnings.append(f"{late} of {t.size} {samples} came out of order: sorted")
+    return t, index[np.argsort(t[index], kind="stable")], span
 
 
 def _in_si(force: Series, notes: list[str], warnings: list[str]) -> Series:
@@ -211,17 +253,6 @@ def _on_common_stamps(
     return replace(force, t=t, values=force.values[inside]), Series(t, rates)
 
 
-def _in_time_order(samples: Received, kind: str, warnings: list[str]) -> Received:
-    """The samples with a usable stamp in rising order, each stamp once."""
-    t = samples.t
-    order = np.argsort(t, kind="stable")
-    order = order[_timed(t, kind, warnings)[order]]
-    fresh = np.concatenate([[True], np.diff(t[order]) > 0]) if order.size else np.empty(0, dtype=np.bool_)
-    if not fresh.all():
-        warnings.append(f"{int((~fresh).sum())} of {t.size} {kind} repeat a stamp: left out")
-    return samples.select(order[fresh])
-
-
 # Positions and velocities as receivers and phones give them
 
 
@@ -244,45 +275,12 @@ def velocities_from_course(t: Floats, speed: Floats, bearing: Floats) -> Velocit
     """From speed in m/s and bearing in degrees clockwise from north; the vertical part is taken as 0.
 
     Receivers mark an unknown value by a negative number or leave it out: those samples are
-    dropped, but for a bearing missing at standstill.
+    dropped, but for a bearing missing at standstill. Standstill alone, where no bearing is known, is no velocity.
     """
     with np.errstate(invalid="ignore"):
-        standing = (speed >= 0) & (speed < _STANDING)
-        known = np.isfinite(t) & (standing | ((speed >= 0) & (bearing >= 0) & (bearing <= 360)))
+        standing, moving = (speed >= 0) & (speed < _STANDING), speed >= _STANDING
+        directed = moving & (bearing >= 0) & (bearing <= 360)
+    known = np.isfinite(t) & (directed | standing & (directed.any() or not moving.any()))
     speed, angle = speed[known], np.radians(np.where(np.isfinite(bearing[known]), bearing[known], 0.0))
     enu = np.stack([speed * np.sin(angle), speed * np.cos(angle), np.zeros_like(speed)], axis=1)
     return VelocityData(t[known], enu)
-
-
-def velocities_from_fixes(fix: FixData) -> VelocityData:
-    """Slopes of parabolas through five neighbouring positions each (three where there are no more).
-
-    A central difference of the same noise would need the same five fixes and lag at the ends. Fixes
-    beyond a gap of five periods belong to another segment; segments under three fixes give none.
-    """
-    good = (fix.status >= 0) & np.isfinite(fix.latitude) & np.isfinite(fix.longitude) & np.isfinite(fix.t)
-    t, fresh = np.unique(fix.t[good], return_index=True)
-    if t.size < 3:
-        return VelocityData.empty()
-    latitude, longitude = fix.latitude[good][fresh], fix.longitude[good][fresh]
-    altitude = np.nan_to_num(fix.altitude[good][fresh])
-    origin = (latitude[0], longitude[0], altitude[0])
-    place = np.stack(pymap3d.geodetic2enu(latitude, longitude, altitude, *origin), axis=1)
-    breaks = np.flatnonzero(np.diff(t) > 5 * np.median(np.diff(t))) + 1
-    segments = [slice(*ends) for ends in zip([0, *breaks], [*breaks, t.size], strict=True)]
-    segments = [s for s in segments if s.stop - s.start >= 3]
-    if not segments:
-        return VelocityData.empty()
-    slopes = [_slopes(t[s], place[s]) for s in segments]
-    return VelocityData(np.concatenate([t[s] for s in segments]), np.concatenate(slopes))
-
-
-def _slopes(t: Floats, place: Floats) -> Floats:
-    """(n, 3) derivative at each stamp of the parabola fitted to its window."""
-    n, size = t.size, min(5, t.size)
-    start = np.clip(np.arange(n) - size // 2, 0, n - size)
-    window = start[:, None] + np.arange(size)
-    x = t[window] - t[:, None]
-    # least squares a + b x + c x², of which b is the derivative at the stamp itself
-    design = np.stack([np.ones_like(x), x, x * x], axis=2)
-    return np.asarray((np.linalg.pinv(design) @ place[window])[:, 1, :])

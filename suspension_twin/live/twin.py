@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from suspension_twin.drive.checks import nanoseconds
+from suspension_twin.drive.received import LivePlaces
 from suspension_twin.drive.types import Drive
 from suspension_twin.inference.sensor_correction import SensorCorrection
 from suspension_twin.live.follow import BodyAcceleration, Followed, Follower, FollowSettings
@@ -79,6 +80,7 @@ class DigitalTwin:
     ingest: ImuIngest | None = None
     lock: PoseLock | None = None
     follower: Follower | None = None
+    places: LivePlaces = field(default_factory=LivePlaces, init=False, repr=False)
     _newest: dict[str, float] = field(default_factory=dict, repr=False)
 
     def push_imu(self, t: float, force: Vector, rate: Vector) -> Update | None:
@@ -95,9 +97,10 @@ class DigitalTwin:
     def push_fix(
         self, t: float, latitude: float, longitude: float, altitude: float, status: int = 0, *sigmas: float
     ) -> None:
-        """One fix at ``t`` s: degrees, m; ``status`` as in sensor_msgs/NavSatStatus, ``sigmas`` east and north in m."""
+        """One fix at ``t`` s: degrees, m; ``status`` as in sensor_msgs/NavSatStatus, ``sigmas`` east and north in m
+        (none: not known). It is passed over where the receiver only holds it until it has computed another."""
         self._follow_clock("fix", t)
-        if self.lock is not None:
+        if self.lock is not None and not self.places.repeats(t, (latitude, longitude, float(status))):
             self.lock.on_fix(t, latitude, longitude, altitude, status, *sigmas)
 
     def push_velocity(self, t: float, east: float, north: float) -> None:
@@ -133,6 +136,7 @@ class DigitalTwin:
     def reset(self) -> None:
         """Forget everything but settings and datum."""
         self._newest.clear()
+        self.places = LivePlaces()
         for stage in (self.ingest, self.lock, self.follower):
             if stage is not None:
                 stage.reset()

@@ -151,7 +151,8 @@ class PoseInjectorNode(TwinNode):
         # Not set (-2 in Jazzy) is not the same as no fix (-1): the position is there.
         status = 0 if message.status.status < -1 else message.status.status
         place = message.latitude, message.longitude, message.altitude
-        self._lock.on_fix(ns / 1e9, *place, status, *sigmas_of(message))
+        if not self.twin.places.repeats(ns / 1e9, (*place[:2], float(status))):
+            self._lock.on_fix(ns / 1e9, *place, status, *sigmas_of(message))
 
     def _on_velocity(self, message: TwistStamped, ns: int) -> None:
         self._lock.on_velocity(ns / 1e9, message.twist.linear.x, message.twist.linear.y)

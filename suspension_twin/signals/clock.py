@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
+from suspension_twin.drive.stamps import JUMP_BACK, jumps_back
 from suspension_twin.errors import InputError
 
 __all__ = [
@@ -24,8 +25,6 @@ __all__ = [
     "nominal_rate",
 ]
 
-#: A stamp this many seconds behind the newest is a clock set back (a looped bag), not a late message.
-JUMP_BACK = 1.0
 #: s since the epoch that no clock shows; beyond it a stamp's fraction is lost, too.
 MAX_STAMP = 1.0e11
 
@@ -59,10 +58,7 @@ def clean_stamps(t: Floats, usable: NDArray[np.bool_] | None = None) -> Cleaned:
     kept = t[index]
     other = 0
     if kept.size:
-        newest = np.maximum.accumulate(kept)
-        starts = np.flatnonzero(np.diff(kept) < -JUMP_BACK) + 1
-        # A jump starts a new loop only if time stays behind: a single stray stamp does not.
-        starts = np.array([s for s in starts if _stays_behind(kept, newest, int(s))], dtype=np.intp)
+        starts = jumps_back(kept)
         if starts.size:
             bounds = np.concatenate([[0], starts, [kept.size]])
             longest = int(np.argmax(np.diff(bounds)))
@@ -82,11 +78,6 @@ def clean_stamps(t: Floats, usable: NDArray[np.bool_] | None = None) -> Cleaned:
         reordered=reordered,
         other_loops=other,
     )
-
-
-def _stays_behind(t: Floats, newest: Floats, start: int) -> bool:
-    following = t[start : start + 5]
-    return bool(np.all(following < newest[start - 1]))
 
 
 def nominal_rate(stamps: Floats) -> float:

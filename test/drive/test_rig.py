@@ -59,11 +59,14 @@ def test_a_recording_has_joints_and_accelerometers(tmp_path: Path) -> None:
     joints = np.c_[0.002 * np.cos(phase), 0.01 * np.sin(phase)]
     with BagWriter(tmp_path / "run") as bag:
         for topic, scale in (("/imu/data_raw", 1.0), ("/wheel/imu/data_raw", 2.0)):
+            # before the clock was set
+            bag.write(topic, "sensor_msgs/msg/Imu", np.array([3, 3]), {"linear_acceleration.z": 9.81})
             bag.write(topic, "sensor_msgs/msg/Imu", 1.7e9 + T, {"linear_acceleration.z": 9.81 + scale * BODY})
         names = {"name": ["suspension", "road"], "position": joints, "effort": np.zeros_like(joints)}
         bag.write("/joint_states", "sensor_msgs/msg/JointState", fine, names)
     run = read_rig(tmp_path / "run")
     assert run.t == pytest.approx(1.7e9 + T, abs=1e-6)
+    assert len(run.warnings) == 2 and "1 stamps lie far from the others" in run.warnings[0]
     assert run.columns["road_displacement"] == pytest.approx(ROAD, abs=1e-6)
     assert run.columns["suspension_deflection"] == pytest.approx(0.004 * BODY, abs=1e-6)
     assert run.columns["wheel_acceleration"] == pytest.approx(9.81 + 2 * BODY, abs=1e-9)

@@ -14,10 +14,10 @@ from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive
 from suspension_twin.inference.simulated import SimulatedDrive, simulate_drive
 from suspension_twin.live.follow import FollowSettings
-from suspension_twin.live.twin import DigitalTwin, Update, digital_twin, replay
+from suspension_twin.live.twin import DigitalTwin, Update, digital_twin, lock_stage, replay
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.simulate import simulate_twin
-from suspension_twin.pose.types import Trajectory
+from suspension_twin.pose.types import PoseSettings, Trajectory
 from suspension_twin.signals.filters import CausalLowPass, FilterSpec
 from suspension_twin.signals.imu import ImuSettings
 from suspension_twin.vehicle.twin import Twin, load_twin
@@ -180,3 +180,18 @@ def test_another_low_pass_is_that_of_both_sides(drive, vehicle):
         for answers in (rows, [u for u in replay(drive, digital_twin(vehicle)) if u.followed])
     )
     assert low < 0.7 * plain
+
+
+@pytest.mark.parametrize(("computed", "sent"), [(1, 10), (5, 50), (10, 10)])
+def test_a_position_that_a_receiver_holds_is_taken_once(computed: int, sent: int) -> None:
+    """The lock is told of each computed position at its first stamp."""
+    twin = DigitalTwin(lock=lock_stage(None, PoseSettings(), None))
+    told: list[float] = []
+    twin.lock.on_fix = lambda t, *place: told.append(t)  # type: ignore[method-assign, union-attr]
+    t = 1.7e9 + np.arange(20 * sent) / sent
+    own = np.arange(20 * sent) * computed // sent
+    for at, k in zip(t.tolist(), own.tolist(), strict=True):
+        twin.push_fix(at, 47.0 + 1e-5 * k, 19.0, 100.0)
+    later = np.array(told)[np.array(told) > 1.7e9 + 3.5 / computed]  # it has to see the receiver's pace first
+    np.testing.assert_allclose(np.diff(later), 1 / computed, atol=1e-6)
+    assert later[-1] == t[-sent // computed] and later.size >= 20 * computed - 4

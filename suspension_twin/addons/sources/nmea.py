@@ -22,7 +22,6 @@ from pynmeagps.exceptions import NMEAMessageError, NMEAParseError, NMEATypeError
 from suspension_twin.addons.sources.common.connection import Address
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.addons.sources.common.receiver import Receiver
-from suspension_twin.drive.streams import velocities_from_course
 from suspension_twin.drive.types import FixData, HeadingData
 
 __all__ = ["EXAMPLE", "TITLE", "Nmea", "make"]
@@ -61,7 +60,7 @@ class Nmea(Receiver):
         self._time: time | None = None
         self._expected: frozenset[str] = frozenset()
         self._done = False
-        self._date: date | None = None
+        self._dated: datetime | None = None
 
     def feed(self, data: bytes, arrival: float) -> None:
         """See the base class."""
@@ -102,7 +101,7 @@ class Nmea(Receiver):
             self._expected = frozenset(self._epoch)
             self._epoch, self._time, self._done = {}, at, False
         if kind == "RMC" and isinstance(message.date, date):
-            self._date = message.date
+            self._dated = datetime.combine(message.date, at, timezone.utc)
         self._epoch[kind] = message
         if self._expected and self._expected <= self._epoch.keys():
             self._end(arrival)
@@ -117,8 +116,8 @@ class Nmea(Receiver):
         if place is not None:
             self._place(t, place, sigma, arrival)
         if motion is not None and motion.status == "A":
-            speed = np.array([_number(motion.spd) * _KNOT])
-            self.device.velocity(velocities_from_course(t, speed, np.array([_number(motion.cog)])), arrival)
+            speed, course = np.array([_number(motion.spd) * _KNOT]), np.array([_number(motion.cog)])
+            self.device.course(t, speed, course, arrival)
         heading = self._epoch.get("HDT") or self._epoch.get("THS")
         if heading is not None and getattr(heading, "mi", "A") == "A":
             degrees = _number(heading.headingT if heading.msgID == "HDT" else heading.headt)
@@ -140,7 +139,7 @@ class Nmea(Receiver):
                 t,
                 np.array([_number(place.lat)]),
                 np.array([_number(place.lon)]),
-                np.array([0.0 if math.isnan(height) else height]),
+                np.array([height]),
                 np.array([status], dtype=np.int8),
                 spread,
             ),
@@ -148,13 +147,11 @@ class Nmea(Receiver):
         )
 
     def _utc(self, at: time, arrival: float) -> float:
-        """POSIX time; the date is that of RMC, or of this machine, and the nearest one to it around midnight."""
-        day = self._date or datetime.fromtimestamp(arrival, timezone.utc).date()
-        moment = datetime.combine(day, at, timezone.utc)
-        if self._date is None:
-            host = datetime.fromtimestamp(arrival, timezone.utc)
-            moment = min((moment + timedelta(days=d) for d in (-1, 0, 1)), key=lambda m: abs(m - host))
-        return moment.timestamp()
+        """POSIX time; the date is the one that comes nearest to the last RMC, or to this machine's time."""
+        known = self._dated or datetime.fromtimestamp(arrival, timezone.utc)
+        moment = datetime.combine(known.date(), at, timezone.utc)
+        days = (moment + timedelta(days=d) for d in (-1, 0, 1))
+        return min(days, key=lambda m: abs(m - known)).timestamp()
 
 
 def _number(value: object) -> float:

@@ -34,7 +34,7 @@ from suspension_twin.addons.sources.common.connection import (
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.clocks import ExperimentTime
-from suspension_twin.drive.streams import phone_fix, velocities_from_course
+from suspension_twin.drive.streams import phone_fix
 from suspension_twin.errors import InputError
 
 __all__ = ["EXAMPLE", "TITLE", "Phyphox", "make"]
@@ -216,12 +216,10 @@ class Phyphox(PlainSource):
                     fine = place[f"{coordinate} whole"] + place[f"{coordinate} rest"]
                     agree = np.abs(fine - place[coordinate]) < 1e-5
                     place[coordinate] = np.where(agree, fine, place[coordinate])
-            height = np.nan_to_num(place.get("zwgs84", place.get("z", unknown)))
+            height = place.get("zwgs84", place.get("z", unknown))
             accuracy = place.get("accuracy", unknown), place.get("zAccuracy", unknown)
             device.fix(phone_fix(t, place["lat"], place["lon"], height, *accuracy), arrival)
-            device.velocity(
-                velocities_from_course(t, place.get("v", unknown), place.get("dir", unknown)), arrival
-            )
+            device.course(t, place.get("v", unknown), place.get("dir", unknown), arrival)
 
 
 def _list(value: object) -> list[Any]:

@@ -30,7 +30,7 @@ from suspension_twin.addons.sources.common.connection import (
 )
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.arrays import Floats
-from suspension_twin.drive.streams import phone_fix, velocities_from_course
+from suspension_twin.drive.streams import phone_fix
 from suspension_twin.errors import InputError
 from suspension_twin.files import Json
 
@@ -132,7 +132,7 @@ class SensorServer(PlainSource):
         found = [np.array([number(data[name]) if name in data else math.nan]) for name in names]
         t = np.array([stamp])
         device.fix(phone_fix(t, *found[:5]), arrival)
-        device.velocity(velocities_from_course(t, found[5], found[6]), arrival)
+        device.course(t, found[5], found[6], arrival)
 
 
 #: See ``SourceModule``.

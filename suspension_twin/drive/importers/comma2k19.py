@@ -14,7 +14,7 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.clocks import week_to_posix
 from suspension_twin.drive.foreign_files import RecordedFiles, read_array
-from suspension_twin.drive.streams import Series, Streams, velocities_from_course
+from suspension_twin.drive.streams import Series, Streams
 from suspension_twin.drive.types import FixData
 from suspension_twin.errors import InputError
 
@@ -61,8 +61,7 @@ def read(source: RecordedFiles) -> Streams:
         unknown = np.full((t.size, 3), np.nan)
         status = np.zeros(t.size, dtype=np.int8)
         streams.fix = FixData(t, value[:, 0], value[:, 1], value[:, 4], status, unknown)
-        streams.velocity = velocities_from_course(t, value[:, 2], value[:, 5])
-        streams.notes.append("velocity: from speed and bearing")
+        streams.add_course(t, value[:, 2], value[:, 5])
     return streams
 
 

@@ -25,7 +25,7 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.clocks import text_to_posix
 from suspension_twin.drive.foreign_files import RecordedFiles, read_table
-from suspension_twin.drive.streams import Series, Streams, velocities_from_course
+from suspension_twin.drive.streams import Series, Streams
 from suspension_twin.drive.types import FixData
 from suspension_twin.drive.unpack import Budget
 from suspension_twin.errors import InputError
@@ -259,5 +259,4 @@ def _position(columns: Columns, streams: Streams, label: str) -> None:
     streams.fix = FixData(t, latitude, longitude, altitude, np.zeros(t.size, dtype=np.int8), sigma)
     if "speed" in columns and "course" in columns:
         speed, course = (_number_column(columns, name, label) for name in ("speed", "course"))
-        streams.velocity = velocities_from_course(t, speed, course)
-        streams.notes.append("velocity: from speed and course")
+        streams.add_course(t, speed, course, "speed and course")

@@ -19,7 +19,7 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.clocks import ExperimentTime
 from suspension_twin.drive.foreign_files import DataTable, RecordedFiles, read_table
-from suspension_twin.drive.streams import Series, Streams, phone_fix, velocities_from_course
+from suspension_twin.drive.streams import Series, Streams, phone_fix
 from suspension_twin.errors import InputError
 
 __all__ = ["TITLE", "read", "recognises"]
@@ -109,8 +109,8 @@ def _location(table: DataTable, t: Floats, degrees: list[int], streams: Streams)
     latitude, longitude = table.numbers(degrees[0]), table.numbers(degrees[1])
     streams.fix = phone_fix(t, latitude, longitude, metre(0), metre(1), metre(2))
     if speeds and len(degrees) >= 3:
-        streams.velocity = velocities_from_course(t, table.numbers(speeds[0]), table.numbers(degrees[2]))
-        streams.notes.append("velocity: from speed and direction")
+        speed, direction = table.numbers(speeds[0]), table.numbers(degrees[2])
+        streams.add_course(t, speed, direction, "speed and direction")
 
 
 def _to_epoch(source: RecordedFiles, streams: Streams) -> None:

@@ -20,7 +20,7 @@ from typing import Final
 import numpy as np
 
 from suspension_twin.drive.foreign_files import DataTable, RecordedFiles, read_table
-from suspension_twin.drive.streams import Series, Streams, phone_fix, velocities_from_course
+from suspension_twin.drive.streams import Series, Streams, phone_fix
 from suspension_twin.errors import InputError
 
 __all__ = ["IOS_FORCE_SIGN", "TITLE", "force_sensors", "read", "recognises"]
@@ -89,8 +89,7 @@ def read(source: RecordedFiles) -> Streams:
         streams.fix = phone_fix(t, *place, *rest)
         if location.has("speed", "bearing"):
             speed, bearing = location.numbers("speed"), location.numbers("bearing")
-            streams.velocity = velocities_from_course(t, speed, bearing)
-            streams.notes.append("velocity: from speed and bearing")
+            streams.add_course(t, speed, bearing)
     if platform is None:
         streams.warnings.append(f"{source.path}: no Metadata file names the platform: taken as Android")
     else:

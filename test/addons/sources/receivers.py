@@ -67,7 +67,8 @@ def _rows(drive: Drive) -> Iterator[tuple]:
         yield t, fix.latitude[i], fix.longitude[i], fix.altitude[i], fix.sigma[i], velocity.enu[k]
 
 
-def _sentence(body: str) -> bytes:
+def sentence(body: str) -> bytes:
+    """A sentence of NMEA 0183 with its checksum."""
     check = 0
     for byte in body.encode():
         check ^= byte
@@ -100,7 +101,7 @@ def nmea_epochs(
             lines.append(f"GNGST,{clock},0.1,,,,{sigma[1]:.4f},{sigma[0]:.4f},{sigma[2]:.4f}")
         if heading is not None:
             lines.append(f"GNHDT,{heading:.2f},T")
-        found.append(b"".join(map(_sentence, lines)))
+        found.append(b"".join(map(sentence, lines)))
     return found
 
 

@@ -6,15 +6,18 @@ from __future__ import annotations
 import asyncio
 import math
 from dataclasses import replace
+from datetime import datetime, timezone
 from pathlib import Path
 
 import numpy as np
 import pytest
 from listening import Taken, listen
-from receivers import Port, nmea_epochs, serve_lines
+from receivers import Port, nmea_epochs, sentence, serve_lines
 
 from suspension_twin.addons.sources import make_sources
 from suspension_twin.addons.sources.common.hub import Hub
+from suspension_twin.addons.sources.nmea import Nmea
+from suspension_twin.drive.clocks import iso_to_posix
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
 
@@ -75,6 +78,32 @@ def test_epochs_without_a_fix_give_none(bump: Drive) -> None:
     taken = hear(parts, len(bump.fix) - 20)
     assert len(taken.fix) == len(bump.fix) - 20
     assert taken.fix.t[0] == pytest.approx(bump.fix.t[20], abs=0.006)
+
+
+@pytest.mark.parametrize("order", [("GGA", "RMC"), ("RMC", "GGA")])
+@pytest.mark.parametrize("rate", [1, 5, 10])
+@pytest.mark.parametrize("early", [-0.4, 0.1, 3.0])
+def test_midnight(order: tuple[str, str], rate: int, early: float) -> None:
+    """The date comes once a second, with RMC, and behind the position of its epoch or before it."""
+    midnight = iso_to_posix("2024-05-01T00:00:00")
+    hub = Hub()
+    (source,) = make_sources(["nmea://127.0.0.1:9"], hub)
+    assert isinstance(source, Nmea)
+    times = midnight + np.arange(-3 * rate, 3 * rate) / rate
+    for k, t in enumerate(times.tolist()):
+        at = datetime.fromtimestamp(round(t, 2), timezone.utc)
+        clock = f"{at:%H%M%S}.{at.microsecond // 10_000:02d}"
+        bodies = {"GGA": f"GPGGA,{clock},4700.{k:04d},N,01100.0000,E,1,12,0.8,,M,,M,,"}
+        if k % rate == 0:
+            bodies["RMC"] = f"GPRMC,{clock},A,4700.0000,N,01100.0000,E,10.0,90.0,{at:%d%m%y},,,A"
+        for kind in order:
+            if kind in bodies:
+                source.feed(sentence(bodies[kind]), t + early)
+    found = [p.samples for p in hub.take() if p.stream == "fix"]
+    t = np.concatenate([fix.t for fix in found])
+    np.testing.assert_allclose(t, times[: t.size], atol=1e-6)
+    assert t.size >= times.size - 1
+    assert np.isnan(np.concatenate([fix.altitude for fix in found])).all()  # it was not given
 
 
 def test_a_wrong_speed_is_doubted() -> None:

@@ -27,6 +27,7 @@ from suspension_twin.cli.main import main
 from suspension_twin.drive import write
 from suspension_twin.drive.importing import import_drive
 from suspension_twin.drive.read import read_drive
+from suspension_twin.drive.recording import read_recording
 from suspension_twin.drive.types import Drive, HeadingData, ImuData
 from suspension_twin.errors import WorkError
 from suspension_twin.inference.simulated import simulate_drive
@@ -141,10 +142,20 @@ def test_every_stream_is_written(tmp_path: Path, bump: Drive) -> None:
     np.testing.assert_allclose(drive.imu.t, bump.imu.t, atol=1e-9)
 
 
-def test_a_recording_without_imu_is_none(tmp_path: Path, bump: Drive) -> None:
-    with pytest.raises(WorkError, match="nothing recorded"), LiveRecorder(tmp_path / "a") as recorder:
-        recorder.write([Packet("phone", bump.fix, 0.0)])
-    assert list(tmp_path.iterdir()) == []
+@pytest.mark.parametrize("name", ["a", "a.mcap"])
+def test_what_a_receiver_alone_gave_is_kept_and_said(name: str, tmp_path: Path, bump: Drive) -> None:
+    with (
+        pytest.raises(WorkError, match="no IMU sample arrived") as caught,
+        LiveRecorder(tmp_path / name) as recorder,
+    ):
+        for samples in (bump.fix, bump.velocity):
+            recorder.write([Packet("receiver", samples, 0.0)])
+    assert f"({len(bump.fix)} fix, {len(bump.velocity)} vel)" in str(caught.value)
+    contents = read_recording(tmp_path / name)
+    assert {topic: len(found.data) for topic, found in contents.topics.items()} == {
+        "/fix": len(bump.fix),
+        "/vel": len(bump.velocity),
+    }
 
 
 def test_of_a_killed_recording_all_but_the_last_seconds_is_there(

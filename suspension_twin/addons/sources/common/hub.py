@@ -20,6 +20,10 @@ from suspension_twin.addons.sources.common.clock import ArrivalClock, host_time
 from suspension_twin.addons.sources.common.motion import MotionLag, MotionShift
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.checks import measured
+from suspension_twin.drive.clocks import ROLLOVER, rolled_over
+from suspension_twin.drive.received import LivePlaces, held_velocities, with_vertical
+from suspension_twin.drive.stamps import spread
+from suspension_twin.drive.streams import velocities_from_course
 from suspension_twin.drive.types import FixData, HeadingData, ImuData, Samples, VelocityData
 from suspension_twin.errors import InputError
 from suspension_twin.signals.checks import Finding
@@ -40,6 +44,8 @@ _BESIDE, _BESIDE_PERIODS = 0.05, 2.5
 _AHEAD = 1.05
 #: Samples of one sensor that wait for the other, and s of past gyroscope samples that are kept.
 _WAITING, _PAST = 4000, 2.0
+#: Stamps before those of a batch by which it is seen that samples come in packets with one stamp.
+_PACKETS = 200
 #: Samples after which the period of a sensor is measured anew.
 _MEASURED_EVERY = 25
 #: s over which rates are counted.
@@ -71,6 +77,9 @@ class Device:
         self.since = hub.now()
         self._force = _Buffer()
         self._rate = _Buffer()
+        self._places = LivePlaces()
+        self._held: Floats = np.empty(0)  # stamps of the last positions that were held
+        self._velocity = VelocityData(np.array([-math.inf]), np.zeros((1, 3)))
         self._recent: dict[str, deque[tuple[float, int]]] = {}
         self._steps = 0
 
@@ -128,19 +137,39 @@ class Device:
         with np.errstate(invalid="ignore"):
             good = np.isfinite(fix.t) & (np.abs(fix.latitude) <= 90) & (np.abs(fix.longitude) <= 180)
             good &= ~((fix.latitude == 0) & (fix.longitude == 0))  # what phones report before their first fix
-            good &= np.abs(fix.altitude) < 1e5
+            good &= ~(np.abs(fix.altitude) >= 1e5)  # one that is not known is NaN
         self.counts["fixes that are no place"] += int(good.size - good.sum())
         fix = fix.select(good)
+        held = self._places.held(fix)
+        self._held = fix.t[held]
+        self.counts["fixes that repeat the one before"] += int(held.sum())
+        fix = fix.select(~held)
         if not len(fix):
             return
         self.accuracy = float(fix.sigma[-1, 0])
-        self.place = float(fix.latitude[-1]), float(fix.longitude[-1]), float(fix.altitude[-1])
+        height = float(fix.altitude[-1])
+        if math.isnan(height):
+            height = 0.0 if self.place is None else self.place[2]
+        self.place = float(fix.latitude[-1]), float(fix.longitude[-1]), height
         self._send(fix, self.position_clock, arrival)
 
     def velocity(self, velocity: VelocityData, arrival: float) -> None:
-        """Velocities, stamped by ``position_clock``."""
+        """Velocities, stamped by ``position_clock``; after the positions of the same stamps."""
+        velocity, _ = with_vertical(velocity)
         velocity = velocity.select(np.isfinite(velocity.t) & measured(velocity.enu))
-        self._send(velocity, self.position_clock, arrival)
+        both = VelocityData.joined([self._velocity, velocity])
+        fresh = (np.diff(both.t) != 0) & ~held_velocities(both, self._held)[1:]
+        if len(velocity):
+            self._velocity = velocity.select(np.array([len(velocity) - 1]))
+        self._send(velocity.select(fresh[-len(velocity) :]), self.position_clock, arrival)
+
+    def course(self, t: Floats, speed: Floats, bearing: Floats, arrival: float) -> None:
+        """Velocities by speed (n,) in m/s and bearing (n,) in degrees; see
+        :func:`~suspension_twin.drive.streams.velocities_from_course`."""
+        velocity = velocities_from_course(t, speed, bearing)
+        lost = int((np.isfinite(t) & np.isfinite(speed)).sum()) - len(velocity)
+        self.counts["velocities without a speed or a course"] += lost
+        self.velocity(velocity, arrival)
 
     def heading(self, heading: HeadingData, arrival: float) -> None:
         """Headings, stamped by ``position_clock``."""
@@ -199,6 +228,10 @@ class Device:
         if not len(samples):
             return
         stream = STREAMS[type(samples)]
+        if stream != "imu" and (back := rolled_over(float(samples.t[-1]), arrival)):
+            text = f"its dates are {back / ROLLOVER:.0f} x 1024 weeks back (its week number began again)"
+            self.hub.notify("warn", "rollover", f"{self.name}: {text}, which is made up for")
+            samples = replace(samples, t=samples.t + back)
         self.counts[stream] += len(samples)
         recent = self._recent.setdefault(stream, deque())
         recent.append((arrival, len(samples)))
@@ -223,12 +256,16 @@ class _Buffer:
         self.values = np.empty((0, 3))
         self.period = 0.0
         self.arrival = -math.inf
+        self._given = np.empty(0)  # stamps as they came
         self._unmeasured = 0
 
     def add(self, t: Floats, values: Floats, arrival: float) -> None:
         if not t.size:
             return
         self.arrival = arrival
+        self._given = np.concatenate([self._given, t])[-_PACKETS - t.size :]
+        if (np.diff(self._given[-t.size - 1 :]) == 0).any():
+            t = spread(self._given)[0][-t.size :]
         rising = not self.t.size or t[0] > self.t[-1]
         rising &= t.size == 1 or bool((t[1:] > t[:-1]).all())
         new = int(t.size)

@@ -24,8 +24,9 @@ class LiveRecorder:
     """Writes packets into a new recording; use it as a context manager.
 
     ``counts`` are the samples so far by stream. What came until about two seconds ago stays, whatever happens.
-    Leaving the context without any IMU sample raises WorkError and leaves what was there before. InputError and
-    WorkError as of :class:`~suspension_twin.drive.write.BagWriter`.
+    Leaving the context without any sample raises WorkError and leaves what was there before; without any IMU sample it
+    raises WorkError, too, and what a receiver gave is kept. InputError and WorkError as of
+    :class:`~suspension_twin.drive.write.BagWriter`.
     """
 
     def __init__(self, path: str | Path, *, overwrite: bool = False) -> None:
@@ -55,9 +56,12 @@ class LiveRecorder:
     ) -> None:
         if kind is KeyboardInterrupt:  # which is how a recording ends
             kind = error = trace = None
-        if kind is None and not self.counts["imu"]:
-            nothing = WorkError(f"{self._bag.path}: nothing recorded, no IMU sample arrived")
+        missing = WorkError(f"{self._bag.path}: nothing recorded, no IMU sample arrived")
+        if kind is None and not self.counts.total():
             self._bag.discard()
-            self._bag.__exit__(WorkError, nothing, None)
-            raise nothing
+            self._bag.__exit__(WorkError, missing, None)
+            raise missing
         self._bag.__exit__(kind, error, trace)
+        if kind is None and not self.counts["imu"]:
+            kept = ", ".join(f"{count} {stream}" for stream, count in self.counts.items())
+            raise WorkError(f"{self._bag.path}: no IMU sample arrived; what a receiver gave is kept ({kept})")

@@ -22,7 +22,7 @@ from suspension_twin.addons.sources.common.connection import Address, number, re
 from suspension_twin.addons.sources.common.hub import Device, Hub
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.importers.sensor_logger import IOS_FORCE_SIGN, force_sensors
-from suspension_twin.drive.streams import phone_fix, velocities_from_course
+from suspension_twin.drive.streams import phone_fix
 from suspension_twin.errors import InputError
 from suspension_twin.units import STANDARD_GRAVITY
 
@@ -315,9 +315,8 @@ class _Phone:
             return
         rows = rows[np.argsort(rows[:, 0], kind="stable")]
         t, latitude, longitude, altitude, horizontal, vertical, speed, bearing = rows.T
-        altitude = np.nan_to_num(altitude, nan=0.0)
         self.device.fix(phone_fix(t, latitude, longitude, altitude, horizontal, vertical), message.arrival)
-        self.device.velocity(velocities_from_course(t, speed, bearing), message.arrival)
+        self.device.course(t, speed, bearing, message.arrival)
 
 
 class Phones:
