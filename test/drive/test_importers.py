@@ -334,6 +334,63 @@ def phyphox(
     return folder
 
 
+#: Latitude, longitude, altitude, accuracies and speed in languages of the app (its own translations).
+PLACES = {
+    "en": "Latitude;Longitude;Altitude;Horizontal Accuracy;Vertical Accuracy;Speed;Direction",
+    "de": "Breitengrad;Längengrad;Höhe;Horizontale Genauigkeit;Vertikale Genauigkeit;Geschwindigkeit;Richtung",
+    "cs": "Zeměpisná šířka;Zeměpisná délka;Výška;Horizontální přesnost;Vertikální přesnost;Rychlost;Směr",
+    "pl": "Szerokość geograficzna;Długość;Wysokość;Dokładność w poziomie;Dokładność w pionie;Szybkość;Kierunek",
+    "nl": "Breedtegraad;Lengtegraad;Hoogte;Horizontale Nauwkeurigheid;Verticale Nauwkeurigheid;Snelheid;Richting",
+    "ru": "Широта;Долгота;Высота;Горизонтальная точность;Вертикальная точность;Скорость;Направление",
+    "it": "Latitudine;Longitudine;Altezza;Accuratezza orizzontale;Accuratezza verticale;Velocità;Direzione",
+    "el": "Γεωγραφικό Πλάτος;Γεωγραφικό Μήκος;Υψόμετρο;Οριζόντια ακρίβεια;Κατακόρυφη ακρίβεια;Ταχύτητα;Κατεύθυνση",
+    "ja": "緯度;経度;高度;水平方向精度;垂直方向精度;速度;方位",
+    "pt": "Latitude;Longitude;Altura;Precisão Horizontal;Precisão Vertical;Velocidade;Direção",
+    "tr": "Enlem;Boylam;Yükseklik;Yatay doğruluk;Dikey doğruluk;Hız;Yön",
+    "zh_Hant": "緯度;經度;高度;水平精準度;鉛直精準度;速度;方向",
+    "zh_Hans": "纬度;经度;高度;平面位置精度;垂直位置精度;速度;方向",
+    "fr": "Latitude;Longitude;Altitude;Précision horizontale;Précision verticale;Vitesse;Direction",
+    "vi": "Vĩ độ;Kinh độ;Độ cao;Sai số ngang;Sai số cao;Tốc độ;Hướng",
+    "sr_Latn": "Širina;Dužina;Visina;Horizontalna tačnost;Vertikalna tačnost;Brzina;Pravac",
+    "es": "Latitud;Longitud;Altitud;Precisión horizontal;Precisión vertical;Velocidad;Dirección",
+}
+#: Those whose words are not known here: the order of the app decides.
+ORDERED = {"xx": "aa;bb;cc;dd;ee;ff;gg", "hi": "ऊँचाई;देशांतर;ऊँचाई;क्षैतिज यथार्थता;उर्ध्वाधर यथार्थता;चाल;दिशा"}
+
+
+@pytest.mark.parametrize("altitude", [650.0, -20.0])
+@pytest.mark.parametrize("language", [*PLACES, *ORDERED])
+def test_phyphox_reads_a_location_by_the_names_of_its_columns(
+    language: str, altitude: float, tmp_path: Path
+) -> None:
+    """The app's own GPS experiment exports two altitudes; the one over the ellipsoid counts, and may be negative."""
+    folder = phyphox(tmp_path / "rec")
+    latitude, longitude, height, *accuracies, speed, course = (PLACES | ORDERED)[language].split(";")
+    columns = {
+        f"{latitude} (°)": LATITUDE,
+        f"{longitude} (°)": LONGITUDE,
+        f"{height} (m)": np.full(5, altitude - 48.0),
+        f"{height} WGS84 (m)": np.full(5, altitude),
+        f"{speed} (m/s)": SPEED,
+        f"{course} (°)": BEARING,
+        "Distance (km)": np.arange(5.0),
+        f"{accuracies[0]} (m)": np.full(5, 3.0),
+        f"{accuracies[1]} (m)": np.full(5, 4.0),
+        "Satellites": np.full(5, 14.0),
+    }
+    names = list(columns)
+    if language in PLACES:
+        np.random.default_rng(len(language) + int(abs(altitude))).shuffle(names)
+    lines = [",".join(["Time (s)", *names])]
+    lines += [
+        ",".join(map(repr, map(float, row))) for row in zip(TL, *(columns[n] for n in names), strict=True)
+    ]
+    (folder / "Location.csv").write_text("\n".join(lines))
+    drive = check(folder).drive
+    np.testing.assert_allclose(drive.fix.altitude, altitude)
+    np.testing.assert_allclose(drive.fix.sigma[0], [3 / np.sqrt(2), 3 / np.sqrt(2), 4.0])
+
+
 @pytest.mark.parametrize(
     ("delimiter", "comma"), [(",", False), ("\t", False), (";", False), (";", True), ("\t", True)]
 )
