@@ -17,7 +17,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.road.crg import examine, load_road, scan_holes
 from suspension_twin.road.road import Road
-from suspension_twin.road.roughness import Roughness, iri, profile_roughness
+from suspension_twin.road.roughness import ProfileEvent, Roughness, iri, profile_events, profile_roughness
 from suspension_twin.road.smoothing import Spike, Spikes, find_spikes
 
 __all__ = ["PathFigures", "RoadCheck", "RoadFinding", "check_file", "check_road", "enclosed", "wheel_paths"]
@@ -42,10 +42,14 @@ class RoadFinding:
 
 @dataclass(frozen=True, eq=False)
 class PathFigures:
-    """One wheel path: ``side``, ``v`` m, its ISO 8608 roughness and its IRI in m/m; None where it is too short."""
+    """One wheel path: ``side``, ``v`` m, its single events, its ISO 8608 roughness and its IRI in m/m.
+
+    The last two are None where they are not defined: a path is too short, or level beside its events.
+    """
 
     side: str
     v: float
+    events: tuple[ProfileEvent, ...]
     roughness: Roughness | None
     iri: float | None
 
@@ -53,12 +57,12 @@ class PathFigures:
     def iso8608(self) -> str:
         """The class in words."""
         if self.roughness is None:
-            return "too short to say"
+            return "not defined"
         r = self.roughness
         text = f"ISO 8608 class {r.letter} (G(n0) {1e6 * r.g0:.3g}e-6 m^3)"
-        if not r.events:
+        if not self.events:
             return text
-        count = "1 event" if len(r.events) == 1 else f"{len(r.events)} events"
+        count = "1 event" if len(self.events) == 1 else f"{len(self.events)} events"
         if r.letter == r.letter_with_events:
             return f"{text} with and without {count}"
         return f"{text} without {count}, {r.letter_with_events} with"
@@ -74,7 +78,7 @@ class PathFigures:
             "iso8608": known and known.letter,
             "g0": known and known.g0,
             "iso8608_with_events": known and known.letter_with_events,
-            "events": [] if r is None else [vars(e) for e in r.events],
+            "events": [vars(e) for e in self.events],
         }
 
 
@@ -192,6 +196,7 @@ def _path_figures(road: Road) -> tuple[PathFigures, ...]:
         PathFigures(
             side,
             v,
+            _unless_short(profile_events, z, road.u_step, road.u_first) or (),
             _unless_short(profile_roughness, z, road.u_step, road.u_first),
             _unless_short(iri, z, road.u_step),
         )
@@ -200,7 +205,7 @@ def _path_figures(road: Road) -> tuple[PathFigures, ...]:
 
 
 def _unless_short(figure: Callable[P, Figure], *given: P.args, **named: P.kwargs) -> Figure | None:
-    """A figure of a profile; None where the profile is too short for it."""
+    """A figure of a profile; None where it is not defined."""
     try:
         return figure(*given, **named)
     except InputError:
@@ -255,7 +260,7 @@ def _events(paths: tuple[PathFigures, ...]) -> str:
     """The largest events of each wheel path, once where both paths have the same."""
     texts = []
     for path in paths:
-        events = () if path.roughness is None else path.roughness.events
+        events = path.events
         largest = sorted(events, key=lambda e: -max(abs(e.height), abs(e.rise)))[:4]
         if largest:
             more = f" and {len(events) - 4} more" if len(events) > 4 else ""

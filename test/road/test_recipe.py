@@ -81,6 +81,31 @@ def test_events_do_not_change_the_class(letter: str) -> None:
     assert found.g0 == pytest.approx(profile_roughness(plain.z[:, 0], plain.u_step).g0, rel=0.25)
 
 
+@pytest.mark.parametrize("length", ["30", "200"])
+@pytest.mark.parametrize(
+    ("feature", "height"), [(("--bump", "1x0.1@20"), 0.1), (("--pothole", "0.8x0.05@12:left"), -0.05)]
+)
+def test_a_level_road_has_events(
+    feature: tuple[str, str], height: float, length: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Although it has no spectrum and so no class."""
+    road, record = tmp_path / "road.crg", tmp_path / "road.json"
+    assert main(["road", "make", *feature, "--length", length, "--out", str(road)]) == 0
+    made = capsys.readouterr().out
+    assert main(["road", "check", str(road), "--out", str(record)]) == 0
+    checked = capsys.readouterr().out
+    place = float(feature[1].partition("@")[2].partition(":")[0])
+    left, right = json.loads(record.read_text())["wheel_paths"]
+    (event,) = left["events"]
+    assert event["height"] == pytest.approx(height, abs=0.005) and event["start"] == pytest.approx(
+        place, abs=0.3
+    )
+    assert len(right["events"]) == ("left" not in feature[1])
+    for said in (made, checked):
+        assert f"{1e3 * abs(height):.0f} mm {'high' if height > 0 else 'deep'}" in said
+    assert left["iso8608"] is None and "left not defined" in made
+
+
 def test_check_tells_both_classes_and_the_index(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     road, record = tmp_path / "road.crg", tmp_path / "road.json"
     assert main(["road", "make", "--iso", "B", "--ramp", "20x1@60", "--pothole", "1x0.1@120:left",
