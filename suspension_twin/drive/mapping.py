@@ -31,7 +31,7 @@ from suspension_twin.drive.foreign_files import DataTable, RecordedFiles, read_t
 from suspension_twin.drive.importers import IMPORTERS, read_source
 from suspension_twin.drive.streams import Series, Streams, velocities_from_course
 from suspension_twin.drive.types import FixData, HeadingData, VelocityData
-from suspension_twin.errors import InputError
+from suspension_twin.errors import InputError, shown
 from suspension_twin.files import read_yaml, reading
 from suspension_twin.schema import Strict, checked
 from suspension_twin.units import STANDARD_GRAVITY
@@ -100,9 +100,9 @@ class TimeSpec(LaggedSpec):
     """Stamps. ``base`` is the moment that they count from:
 
     ``posix`` since 1970 (UTC); ``gps`` since 1980 (GPS time); ``gps_week`` two columns, week and
-    second; ``text`` dates and times in words or ISO 8601; ``start`` since the moment ``start`` names; ``rtklib_tag``
-    the first and last sample stand at the first and last time of RTKLIB's ``tag`` file; ``clock`` a
-    clock of its own, tied to POSIX time by ``tie``.
+    second; ``text`` dates and times in words or ISO 8601, or times of the day that ``start`` names;
+    ``start`` since the moment ``start`` names; ``rtklib_tag`` the first and last sample stand at the
+    first and last time of RTKLIB's ``tag`` file; ``clock`` a clock of its own, tied to POSIX time by ``tie``.
 
     ``drift_ppm``: the clock runs fast by so many millionths, counted from the first sample. Neither it nor ``lag`` is
     guessed: give known values.
@@ -123,8 +123,8 @@ class TimeSpec(LaggedSpec):
             if (self.base == base) != (getattr(self, key) is not None):
                 raise ValueError(f"base {base} and key {key} belong together")
         if self.start is not None:
-            if self.base != "start":
-                raise ValueError("key start belongs to base start")
+            if self.base not in ("start", "text"):
+                raise ValueError("key start belongs to base start or text")
             try:
                 iso_to_posix(self.start)
             except ValueError:
@@ -400,7 +400,14 @@ def _time(files: _Files, spec: TimeSpec, outer: FileSpec | None) -> Floats:
 def _posix(files: _Files, spec: TimeSpec, outer: FileSpec | None) -> Floats:
     table = files.table(spec, outer)
     if spec.base == "text":
-        return text_to_posix(table.text(spec.column))
+        texts = table.text(spec.column)
+        t = text_to_posix(texts, math.nan if spec.start is None else iso_to_posix(spec.start))
+        if not np.isfinite(t).any():
+            fault = "is no date and time"
+            if np.isfinite(text_to_posix(texts[:1], 0.0)).all():
+                fault = "names no day: give it in the mapping as start: 2024-05-01"
+            raise InputError(table.label, f"column {spec.column}", f"{shown(texts[0])} {fault}")
+        return t
     if spec.columns is not None:  # GPS week and second
         week, seconds = (table.numbers(column) for column in spec.columns)
         return week_to_posix(week, seconds * TIME_UNITS[spec.unit])

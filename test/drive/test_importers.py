@@ -734,11 +734,32 @@ def test_dates_and_times_as_programs_write_them() -> None:
         "05/01/2024 10:00:02.5 AM",
         "01.05.2024 10:00:02.5",
         "2024-05-01T12:00:02.5+02:00",
-        "20240501T100002.5Z".replace("T100002.5", "T10:00:02.5"),
+        "20240501T10:00:02.5Z",
+        "2024-05-01 10:00:02:500",
+        "2024-05-01 12:00:02.5 UTC+02:00",
+        "2024-05-01 07:30:02.5 GMT-2:30",
+        "2024-05-01 12:00:02.5 +0200",
+        "2024-05-01 13:00:02.5 UTC+3",
+        "05/01/2024, 10:00:02.5",
     ):
         assert text_to_posix([text])[0] == pytest.approx(expected, abs=1e-6), text
-    assert np.isnan(text_to_posix(["", "noon", "2024-13-01 10:00:00"])).all()
+    assert np.isnan(text_to_posix(["", "noon", "2024-13-01 10:00:00", "10:00:00"])).all()
     assert text_to_posix(["05/01/2024 12:30:00 PM"])[0] - iso_to_posix("2024-05-01") == 12.5 * 3600
+
+
+@pytest.mark.parametrize("separator", ["/", "-", "."])
+def test_days_before_months_where_a_date_shows_it(separator: str) -> None:
+    """One order for the whole column; without such a date a slash is American."""
+    days = [f"{day:02}{separator}{month:02}{separator}2019 23:59:59" for day, month in ((12, 9), (13, 9))]
+    assert np.diff(text_to_posix(days)) == 86400.0
+    assert text_to_posix(days)[0] == iso_to_posix("2019-09-12T23:59:59")
+
+
+def test_times_of_the_day_go_on_past_midnight() -> None:
+    day = iso_to_posix("2019-09-13")
+    texts = ["23:59:58.5", "23:59:59:250", "x", "00:00:00.0", "00:00:01"]
+    found = text_to_posix(texts, day) - day - 86400
+    np.testing.assert_allclose(found, [-1.5, -0.75, np.nan, 0.0, 1.0], atol=1e-6)
 
 
 def test_velocities_from_speed_and_bearing() -> None:
