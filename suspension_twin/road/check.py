@@ -12,6 +12,7 @@ from typing import ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
@@ -20,12 +21,22 @@ from suspension_twin.road.road import Road
 from suspension_twin.road.roughness import ProfileEvent, Roughness, iri, profile_events, profile_roughness
 from suspension_twin.road.smoothing import Spike, Spikes, find_spikes
 
-__all__ = ["PathFigures", "RoadCheck", "RoadFinding", "check_file", "check_road", "enclosed", "wheel_paths"]
+__all__ = [
+    "PathFigures",
+    "RoadCheck",
+    "RoadFinding",
+    "check_file",
+    "check_road",
+    "enclosed",
+    "on_itself",
+    "wheel_paths",
+]
 
 #: A jump this high (m) and this steep (m/m) between neighbours is a step, unless a spike makes it.
 _STEP, _STEP_SLOPE = 0.05, 1.0
 _STEEP_ROAD, _STEEP_BANK = 0.25, 0.15
 _COARSE = 0.25  # m; a wheel's contact patch is about as long
+_APART = 0.5  # m between places that are looked at: no road for a car is as narrow
 _TRACK = 1.5
 
 P = ParamSpec("P")
@@ -167,6 +178,9 @@ def check_road(road: Road, also: tuple[RoadFinding, ...] = ()) -> RoadCheck:
         )
     findings += _largest([_spike_text(spike) for spike in spikes.found], 5, "and {} smaller spikes")
     findings += _steps(road, spikes) + _shape(road)
+    if (places := on_itself(road)) is not None:
+        text = "it lies on itself: u {:.1f} m and u {:.1f} m are one place in map, which has one height alone"
+        findings.append(RoadFinding(text.format(*places), True))
     return RoadCheck(road, facts, tuple(findings), spikes, paths)
 
 
@@ -297,6 +311,38 @@ def _steps(road: Road, spikes: Spikes) -> list[RoadFinding]:
         for size, u in sized
     ]
     return _largest(texts, 3, "and steps at {} more places")
+
+
+def on_itself(road: Road) -> tuple[float, float] | None:
+    """u of two cross sections, m, that lie on each other in ``map``: where a road first crosses or meets itself.
+
+    The end of a closed track may meet its start, and what lies within half a turn about a border is a bend.
+    """
+    every = max(1, round(_APART / road.u_step))
+    u, x, y = (a[::every] for a in (road.u, road.x, road.y))
+    v = road.v[~np.isnan(road.z).all(axis=0)]
+    if u.size < 3 or road.straight:
+        return None
+    step, reach = every * road.u_step, float(np.abs(v).max())
+    closed = math.hypot(road.x[-1] - road.x[0], road.y[-1] - road.y[0]) < reach
+    heading = np.arctan2(np.gradient(y), np.gradient(x))
+    found = []
+    for across in (v[0], 0.5 * (v[0] + v[-1]), v[-1]):
+        places = np.column_stack(road.uv_to_xy(u, across))
+        near = cKDTree(places).sparse_distance_matrix(
+            cKDTree(np.column_stack([x, y])), reach + step, output_type="coo_matrix"
+        )
+        i, j = near.row, near.col
+        apart = np.abs(u[i] - u[j])
+        dx, dy = places[i, 0] - x[j], places[i, 1] - y[j]
+        along, beside = (
+            dx * np.cos(heading[j]) + dy * np.sin(heading[j]),
+            dy * np.cos(heading[j]) - dx * np.sin(heading[j]),
+        )
+        on = (np.abs(along) <= 0.5 * step) & (beside > v[0]) & (beside < v[-1])
+        on &= np.minimum(apart, road.length - apart if closed else np.inf) > math.pi * reach
+        found += [(min(a, b), max(a, b)) for a, b in zip(u[i[on]].tolist(), u[j[on]].tolist(), strict=True)]
+    return min(found, default=None)
 
 
 def _shape(road: Road) -> list[RoadFinding]:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ElementTree
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -140,17 +139,7 @@ def _between(path: Path, field: str, surface: Road, s: Floats, limits: tuple[flo
     rows = np.flatnonzero((s >= limits[0] - 1e-6) & (s <= limits[1] + 1e-6))
     if rows.size < 2:
         raise InputError(path, field, "no part of the OpenCRG file lies between sStart and sEnd")
-    if rows.size == s.size:
-        return surface
-    kept, line, (first, last) = slice(rows[0], rows[-1] + 1), surface.reference, surface.headings
-    x, y = line.x[kept], line.y[kept]
-    if rows[0]:
-        first = math.atan2(y[1] - y[0], x[1] - x[0])
-    if rows[-1] < s.size - 1:
-        last = math.atan2(y[-1] - y[-2], x[-1] - x[-2])
-    line = ReferenceLine(x, y, line.z[kept], line.bank[kept], line.step, (first, last), surface.u[rows[0]])
-    borders = replace(surface.borders, begin=None, end=None, close=False, close_span=None)
-    return replace(surface, z=surface.z[kept], reference=line, borders=borders)
+    return surface if rows.size == s.size else surface.part(int(rows[0]), int(rows[-1]) + 1)
 
 
 def _attached(
