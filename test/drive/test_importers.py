@@ -10,6 +10,7 @@ import shutil
 import sys
 import zipfile
 from collections.abc import Callable
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
@@ -702,6 +703,225 @@ def test_rtklib_files_that_cannot_be_read(tmp_path: Path) -> None:
             import_drive([path])
     with pytest.raises(InputError, match="no accelerometer"):
         import_drive([_pos(path)])
+
+
+# --- one table of all sensors (logger_csv, and Sensor Logger's)
+
+
+def _resampled(values: np.ndarray, t: np.ndarray) -> np.ndarray:
+    return np.array([np.interp(T, t, column) for column in np.atleast_2d(values.T)]).T
+
+
+def _held(values: np.ndarray) -> list[float]:
+    """Values of a receiver in the rows of a faster sensor."""
+    return [float(values[np.searchsorted(TL, t, side="right") - 1]) for t in T]
+
+
+def _place_columns() -> tuple[list[float], ...]:
+    return tuple(_held(v) for v in (LATITUDE, LONGITUDE, np.full(5, 120.0), SPEED, BEARING))
+
+
+def _clock(form: str) -> list[str]:
+    """Stamps of the samples, as an app writes them with milliseconds."""
+    moments = [datetime.fromtimestamp(START + t, tz=timezone.utc) for t in T]
+    return [moment.strftime(form).format(ms=f"{round(moment.microsecond / 1000):03}") for moment in moments]
+
+
+def androsensor(path: Path) -> None:
+    latitude, longitude, altitude, speed, course = _place_columns()
+    head = [
+        *(f"ACCELEROMETER {a} (m/s²)" for a in "XYZ"),
+        *(f"GRAVITY {a} (m/s²)" for a in "XYZ"),
+        *(f"GYROSCOPE {a} (rad/s)" for a in "XYZ"),
+        "LOCATION Latitude : ",
+        "LOCATION Longitude : ",
+        "LOCATION Altitude ( m)",
+        "LOCATION Altitude-google ( m)",
+        "LOCATION Speed ( Kmh)",
+        "LOCATION Accuracy ( m)",
+        "LOCATION ORIENTATION (°)",
+        "Satellites in range",
+        "Time since start in ms ",
+        "YYYY-MO-DD HH-MI-SS_SSS",
+    ]
+    columns = [
+        *FORCE.T,
+        *GRAVITY.T,
+        *_resampled(RATE, TG).T,
+        latitude,
+        longitude,
+        altitude,
+        [f"{a - 40}" for a in altitude],
+    ]
+    columns += [[3.6 * v for v in speed], [5.0] * T.size, course, ["7 / 12"] * T.size, 1000.0 * T]
+    rows = zip(*columns, _clock("%Y-%m-%d %H:%M:%S:{ms}"), strict=True)
+    path.write_text("\n".join(["sep=;", ";".join(head), *(";".join(map(str, row)) for row in rows)]))
+
+
+def sensorlog(path: Path) -> None:
+    latitude, longitude, altitude, speed, course = _place_columns()
+    head = [
+        "loggingTime(txt)",
+        "locationTimestamp_since1970(s)",
+        "locationLatitude(WGS84)",
+        "locationLongitude(WGS84)",
+    ]
+    head += ["locationAltitude(m)", "locationSpeed(m/s)", "locationCourse(°)", "locationVerticalAccuracy(m)"]
+    head += ["locationHorizontalAccuracy(m)", "accelerometerTimestamp_sinceReboot(s)"]
+    head += [f"accelerometerAcceleration{a}(G)" for a in "XYZ"] + [f"gyroRotation{a}(rad/s)" for a in "XYZ"]
+    columns = [_clock("%Y-%m-%d %H:%M:%S.{ms} +0000"), T, latitude, longitude, altitude, speed, course]
+    columns += [[3.0] * T.size, [5.0] * T.size, T + 99.0, *(-FORCE.T / G), *_resampled(RATE, TG).T]
+    path.write_text(
+        "\n".join([",".join(head), *(",".join(map(str, row)) for row in zip(*columns, strict=True))])
+    )
+
+
+def physics_toolbox(path: Path, seconds: bool) -> None:
+    latitude, longitude, _, speed, course = _place_columns()
+    head = "time,gFx,gFy,gFz,TgF,ax,ay,az,wx,wy,wz,Latitude,Longitude,Speed (m/s),Bearing"
+    stamps = T if seconds else _clock("%H:%M:%S:{ms}")
+    columns = [stamps, *(FORCE.T / G), np.linalg.norm(FORCE, axis=1) / G, *LINEAR.T, *_resampled(RATE, TG).T]
+    columns += [latitude, longitude, speed, course]
+    path.write_text("\n".join([head, *(",".join(map(str, row)) for row in zip(*columns, strict=True))]))
+
+
+def racechrono(path: Path) -> None:
+    latitude, longitude, altitude, speed, course = _place_columns()
+    head = "timestamp,fragment_id,elapsed_time,altitude,bearing,latitude,longitude,speed,"
+    head += "x_acc,y_acc,z_acc,device_update_rate,x_rate_of_rotation,y_rate_of_rotation,z_rate_of_rotation"
+    units = "unix time,,s,m,deg,deg,deg,m/s,G,G,G,Hz,deg/s,deg/s,deg/s"
+    columns = [START + T, [0] * T.size, T, altitude, course, latitude, longitude, speed, *(FORCE.T / G)]
+    columns += [[100] * T.size, *np.degrees(_resampled(RATE, TG)).T]
+    rows = [",".join(map(repr, map(float, row))) for row in zip(*columns, strict=True)]
+    path.write_text(
+        "\n".join(["Created by an app", "Format,3", "", "Note,", "", head, units, "," * 14, *rows])
+    )
+
+
+def sensor_logger_combined(path: Path) -> None:
+    latitude, longitude, altitude, speed, course = _place_columns()
+    head = [
+        "time",
+        "seconds_elapsed",
+        *(f"gyroscope_{a}" for a in "zyx"),
+        *(f"totalAcceleration_{a}" for a in "zyx"),
+    ]
+    head += ["location_horizontalAccuracy", "location_verticalAccuracy", "location_speed", "location_bearing"]
+    head += ["location_altitude", "location_longitude", "location_latitude"]
+    rate = _resampled(RATE, TG)
+    rows = []
+    for i, t in enumerate(T):
+        row = [START_NS + round(t * 1e9), t, *rate[i, ::-1], *FORCE[i, ::-1]]
+        place = [5.0, 3.0, speed[i], course[i], altitude[i], longitude[i], latitude[i]]
+        rows.append([*row, *(place if i % 100 == 0 else [""] * 7)])
+    path.write_text("\n".join([",".join(head), *(",".join(map(str, row)) for row in rows)]))
+
+
+@pytest.mark.parametrize(
+    ("name", "write", "origin"),
+    [
+        ("androsensor", androsensor, "AndroSensor"),
+        ("sensorlog", sensorlog, "SensorLog"),
+        ("racechrono", racechrono, "RaceChrono"),
+        ("sensor_logger", sensor_logger_combined, "Sensor Logger"),
+    ],
+)
+def test_one_table_of_all_sensors(
+    name: str, write: Callable[[Path], None], origin: str, tmp_path: Path
+) -> None:
+    write(tmp_path / f"{name}.csv")
+    imported = import_drive([tmp_path / f"{name}.csv"])
+    assert imported.origin == origin
+    drive = imported.drive
+    np.testing.assert_allclose(drive.imu.t - START, T, atol=1e-3)
+    np.testing.assert_allclose(drive.imu.specific_force, FORCE, atol=1e-9)
+    np.testing.assert_allclose(drive.imu.angular_rate, _resampled(RATE, TG), atol=1e-9)
+    some = T[-1] >= TL
+    np.testing.assert_allclose(drive.fix.t - START, TL[some], atol=1e-3)
+    np.testing.assert_allclose(drive.fix.latitude, LATITUDE[some], atol=1e-9)
+    np.testing.assert_allclose(drive.fix.altitude, 120.0)
+    np.testing.assert_allclose(drive.velocity.enu, EAST[some], atol=1e-9)
+    if origin != "RaceChrono":
+        np.testing.assert_allclose(drive.fix.sigma[:, 0], 5.0 / np.sqrt(2.0))
+
+
+@pytest.mark.parametrize("seconds", [False, True])
+def test_physics_toolbox_has_no_date(seconds: bool, tmp_path: Path) -> None:
+    physics_toolbox(tmp_path / "log.csv", seconds)
+    imported = import_drive([tmp_path / "log.csv"])
+    assert imported.origin == "Physics Toolbox"
+    assert any("no date" in text for text in imported.drive.warnings)
+    start = 0.0 if seconds else START % 86400
+    np.testing.assert_allclose(imported.drive.imu.t - start, T, atol=1e-3)
+    np.testing.assert_allclose(imported.drive.imu.specific_force, FORCE, atol=1e-9)
+    np.testing.assert_allclose(imported.drive.imu.angular_rate, _resampled(RATE, TG), atol=1e-9)
+    np.testing.assert_allclose(imported.drive.velocity.enu, EAST[T[-1] >= TL], atol=1e-9)
+
+
+def vbo(path: Path, inertial: bool, unit: str = "kmh", midnight: bool = False) -> float:
+    """A file of a VBOX; returns the POSIX time of its first row."""
+    start = START - START % 86400 + (86398.0 if midnight else 36000.5)
+    names = "sats time lat long velocity heading height vert-vel"
+    header = ["satellites", "time", "latitude", "longitude", f"velocity {unit}", "heading", "height"]
+    factor = {"kmh": 3.6, "knots": 3600 / 1852, "mph": 1 / 0.44704}[unit]
+    if inertial:
+        names += " x_accel y_accel z_accel rollrate pitchrate yawrate"
+    day = datetime.fromtimestamp(start, tz=timezone.utc)
+    rows = []
+    for i, t in enumerate(T if inertial else TL):
+        moment = datetime.fromtimestamp(start + t, tz=timezone.utc)
+        k = min(int(t), 4)
+        row = [f"{73 if i else 64:03}", moment.strftime("%H%M%S.") + f"{round(moment.microsecond / 1e4):02}"]
+        row += [f"{60 * LATITUDE[k]:+014.8f}", f"{-60 * LONGITUDE[k]:+014.8f}", f"{factor * SPEED[k]:07.3f}"]
+        row += [f"{BEARING[k]:06.2f}", "+120.00", "+000.00"]
+        if inertial:
+            row += [f"{v:+.9f}" for v in (*FORCE[i] / G, *np.degrees(_resampled(RATE, TG)[i]))]
+        rows.append(" ".join(row))
+    first = f"File created on {day:%d/%m/%Y} @ {day:%H:%M:%S}"
+    text = [
+        first,
+        "",
+        "[header]",
+        *header,
+        "",
+        "[comments]",
+        "Log Rate (Hz) : 100.00",
+        "",
+        "[column names]",
+        names,
+        "",
+    ]
+    path.write_text("\r\n".join([*text, "[data]", *rows, ""]))
+    return start
+
+
+@pytest.mark.parametrize("midnight", [False, True])
+@pytest.mark.parametrize("unit", ["kmh", "knots", "mph"])
+def test_a_vbo_gives_positions_to_an_imu(unit: str, midnight: bool, tmp_path: Path) -> None:
+    """Minutes, west positive, the day of its first line; without satellites there is no fix."""
+    start = vbo(tmp_path / "track.vbo", False, unit, midnight)
+    _csv(tmp_path / "imu.csv", "t,ax,ay,az,gx,gy,gz", start + T, *FORCE.T, *_resampled(RATE, TG).T)
+    (tmp_path / "map.yaml").write_text(
+        "imu:\n  file: imu.csv\n  time: {column: t}\n  specific_force: {columns: [ax, ay, az], unit: m/s2}\n"
+        "  angular_rate: {columns: [gx, gy, gz], unit: rad/s}\nfix: {file: track.vbo, importer: vbo}\n"
+        "vel: {file: track.vbo, importer: vbo}\n"
+    )
+    files = [tmp_path / "imu.csv", tmp_path / "track.vbo"]
+    drive = import_drive(files, mapping=tmp_path / "map.yaml").drive
+    np.testing.assert_allclose(drive.fix.t - start, TL, atol=0.006)
+    np.testing.assert_allclose(drive.fix.latitude, LATITUDE, atol=1e-9)
+    np.testing.assert_allclose(drive.fix.longitude, LONGITUDE, atol=1e-9)
+    assert drive.fix.status.tolist() == [-1, 2, 2, 2, 2]
+    np.testing.assert_allclose(drive.velocity.enu, EAST, atol=1e-3)
+
+
+def test_a_vbo_with_an_imu_is_a_drive(tmp_path: Path) -> None:
+    start = vbo(tmp_path / "track.vbo", True)
+    imported = import_drive([tmp_path / "track.vbo"])
+    assert imported.origin == "VBO"
+    np.testing.assert_allclose(imported.drive.imu.t - start, T, atol=0.006)
+    np.testing.assert_allclose(imported.drive.imu.specific_force, FORCE, atol=1e-6)
+    np.testing.assert_allclose(imported.drive.imu.angular_rate, _resampled(RATE, TG), atol=1e-6)
 
 
 # --- clocks, velocities, figures
