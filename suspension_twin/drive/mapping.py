@@ -29,6 +29,7 @@ from suspension_twin.drive.clocks import (
 )
 from suspension_twin.drive.foreign_files import DataTable, RecordedFiles, read_table
 from suspension_twin.drive.importers import IMPORTERS, read_source
+from suspension_twin.drive.mdf import MDF_MAGIC, MeasuredTable, open_mdf
 from suspension_twin.drive.streams import Series, Streams, velocities_from_course
 from suspension_twin.drive.types import FixData, HeadingData, VelocityData
 from suspension_twin.errors import InputError, shown
@@ -331,6 +332,7 @@ class _Files:
     def __init__(self, recordings: Sequence[RecordedFiles], streams: Streams) -> None:
         self.recordings, self.streams = recordings, streams
         self.tables: dict[FileSpec, DataTable] = {}
+        self.measured: dict[int, DataTable] = {}
 
     def located(self, name: str) -> tuple[RecordedFiles, str]:
         """Recording and name of a file: among those given, or beside one of them."""
@@ -354,8 +356,16 @@ class _Files:
     def table(self, spec: FileSpec, outer: FileSpec | None = None) -> DataTable:
         """The table of a section."""
         chosen = spec.within(outer)
+        # Channels of a measurement have stamps of their own: a table for each section.
+        section = id(spec if outer is None or spec.file is not None else outer)
+        if section in self.measured:
+            return self.measured[section]
         if chosen not in self.tables:
-            table = read_table(*self.content(chosen.file), **chosen.model_dump(exclude={"file"}))
+            data, label = self.content(chosen.file)
+            if data.startswith(MDF_MAGIC):
+                self.measured[section] = MeasuredTable(label, [], measurement=open_mdf(data, label))
+                return self.measured[section]
+            table = read_table(data, label, **chosen.model_dump(exclude={"file"}))
             self.streams.warnings += table.warnings
             self.tables[chosen] = table
         return self.tables[chosen]
@@ -447,10 +457,10 @@ def _fix(files: _Files, spec: FixSpec) -> FixData:
         files.streams.warnings += found.warnings
         return replace(found.fix, t=found.fix.t - spec.lag, frame=spec.frame)
     assert spec.latitude is not None and spec.longitude is not None
-    table, t = files.table(spec), _received_time(files, spec)
-    nothing = np.full(t.size, np.nan)
-    scale = ANGLE_UNITS[spec.unit]
+    table, scale = files.table(spec), ANGLE_UNITS[spec.unit]
     latitude, longitude = (table.numbers(c) * scale for c in (spec.latitude, spec.longitude))
+    t = _received_time(files, spec)
+    nothing = np.full(t.size, np.nan)
     if t.size != latitude.size:
         raise InputError(table.label, f"{latitude.size} positions for {t.size} stamps")
     return FixData(
@@ -475,15 +485,18 @@ def _velocity(files: _Files, spec: VelocitySpec) -> VelocityData:
             fault = "holds no velocities: give derive: true instead"
             raise InputError(spec.file or files.recordings[0].path, fault)
         return replace(found, t=found.t - spec.lag)
-    table, t, scale = files.table(spec), _received_time(files, spec), SPEED_UNITS[spec.unit]
+    table, scale = files.table(spec), SPEED_UNITS[spec.unit]
     if spec.speed is not None and spec.bearing is not None:
         files.streams.notes.append("velocity: from speed and bearing")
-        degrees = table.numbers(spec.bearing) * ANGLE_UNITS[spec.bearing_unit]
-        return velocities_from_course(t, table.numbers(spec.speed) * scale, degrees)
+        speed, degrees = (
+            table.numbers(spec.speed),
+            table.numbers(spec.bearing) * ANGLE_UNITS[spec.bearing_unit],
+        )
+        return velocities_from_course(_received_time(files, spec), speed * scale, degrees)
     assert spec.east is not None and spec.north is not None
-    up = np.zeros(t.size) if spec.up is None else table.numbers(spec.up)
-    enu = np.stack([table.numbers(spec.east), table.numbers(spec.north), up], axis=1) * scale
-    return VelocityData(t, enu)
+    east, north = table.numbers(spec.east), table.numbers(spec.north)
+    up = np.zeros(east.size) if spec.up is None else table.numbers(spec.up)
+    return VelocityData(_received_time(files, spec), np.stack([east, north, up], axis=1) * scale)
 
 
 def _heading(files: _Files, spec: HeadingSpec) -> HeadingData | None:

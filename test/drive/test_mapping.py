@@ -6,7 +6,8 @@ from __future__ import annotations
 import csv
 import io
 import struct
-from datetime import datetime, timedelta
+import sys
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
@@ -277,6 +278,62 @@ def test_a_refusal_says_what_was_lost(tmp_path: Path) -> None:
         InputError, match=r"no usable accelerometer data; 300 of 300 .* are no numbers: left out"
     ):
         import_drive([table], mapping=_mapping(tmp_path / "map.yaml"))
+
+
+def _measurement(path: Path, fault: str = "") -> None:
+    """MDF4: accelerations in g at 100 Hz, rates in deg/s at 50 Hz, positions at 1 Hz."""
+    asammdf = pytest.importorskip("asammdf")
+    measurement = asammdf.MDF(version="4.10")
+    measurement.header.start_time = datetime.fromtimestamp(START, tz=timezone.utc)
+    slow = np.arange(0.0, T[-1] + 0.001, 1.0)
+    groups = [
+        (T, dict(zip(("ax", "ay", "az"), FORCE.T / G, strict=True)), "g"),
+        (T[::2], dict(zip(("gx", "gy", "gz"), np.degrees(RATE[::2]).T, strict=True)), "deg/s"),
+        (slow, {"lat": 47.0 + 1e-4 * slow, "lon": 19.0 + 0.0 * slow}, "deg"),
+    ]
+    for stamps, channels, unit in groups:
+        signals = [
+            asammdf.Signal(np.array(v), stamps, name=n, unit=unit) for n, v in channels.items() if n != fault
+        ]
+        measurement.append(signals, common_timebase=True)
+    measurement.save(path)
+
+
+MDF_MAP = {
+    "imu": {
+        "time": {},
+        "specific_force": {"columns": ["ax", "ay", "az"], "unit": "g"},
+        "angular_rate": {"columns": ["gx", "gy", "gz"], "unit": "deg/s"},
+    },
+    "fix": {"time": {}, "latitude": "lat", "longitude": "lon"},
+}
+
+
+def test_an_mdf_file_by_its_channels(tmp_path: Path) -> None:
+    _measurement(tmp_path / "bench.mf4")
+    (tmp_path / "map.yaml").write_text(yaml.safe_dump(MDF_MAP))
+    drive = import_drive([tmp_path / "bench.mf4"], mapping=tmp_path / "map.yaml").drive
+    np.testing.assert_allclose(drive.imu.t, START + T, atol=1e-6)
+    np.testing.assert_allclose(drive.imu.specific_force, FORCE, atol=1e-9)
+    np.testing.assert_allclose(drive.imu.angular_rate[::2], RATE[::2], atol=1e-9)
+    np.testing.assert_allclose(drive.fix.t, START + np.arange(3.0), atol=1e-6)
+    np.testing.assert_allclose(drive.fix.latitude, 47.0 + 1e-4 * np.arange(3.0))
+    _measurement(tmp_path / "bench2.mf4", fault="ay")
+    with pytest.raises(InputError, match=r"bench2\.mf4: channel ay: is not there; the channels are .*ax, az"):
+        import_drive([tmp_path / "bench2.mf4"], mapping=tmp_path / "map.yaml")
+    (tmp_path / "cut.mf4").write_bytes((tmp_path / "bench.mf4").read_bytes()[:900])
+    with pytest.raises(InputError, match=r"cut\.mf4"):
+        import_drive([tmp_path / "cut.mf4"], mapping=tmp_path / "map.yaml")
+
+
+def test_without_asammdf_its_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "asammdf", None)
+    (tmp_path / "bench.mf4").write_bytes(b"MDF     4.10    " + bytes(200))
+    (tmp_path / "map.yaml").write_text(yaml.safe_dump(MDF_MAP))
+    with pytest.raises(
+        InputError, match=r'bench\.mf4: an MDF file needs asammdf: pip install "suspension-twin\[mdf\]"'
+    ):
+        import_drive([tmp_path / "bench.mf4"], mapping=tmp_path / "map.yaml")
 
 
 def test_rtklib_tag(tmp_path: Path) -> None:
