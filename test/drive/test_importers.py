@@ -845,6 +845,15 @@ def test_one_table_of_all_sensors(
         np.testing.assert_allclose(drive.fix.sigma[:, 0], 5.0 / np.sqrt(2.0))
 
 
+def test_a_receiver_that_stands_is_no_gap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its place does not change from row to row, as between two fixes."""
+    for name in ("LATITUDE", "LONGITUDE", "SPEED"):
+        monkeypatch.setitem(globals(), name, np.full(5, 0.5))
+    androsensor(tmp_path / "log.csv")
+    fix = import_drive([tmp_path / "log.csv"]).drive.fix
+    np.testing.assert_allclose(fix.t - START, TL[T[-1] >= TL], atol=1e-3)
+
+
 @pytest.mark.parametrize("seconds", [False, True])
 def test_physics_toolbox_has_no_date(seconds: bool, tmp_path: Path) -> None:
     physics_toolbox(tmp_path / "log.csv", seconds)

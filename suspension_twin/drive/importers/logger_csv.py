@@ -27,6 +27,8 @@ __all__ = ["TITLE", "read", "recognises"]
 
 TITLE = "AndroSensor, SensorLog, Physics Toolbox, RaceChrono"
 
+#: s between the positions of a phone's receiver.
+_PERIOD: Final = 1.0
 _PLACE: Final = ("latitude", "longitude", "altitude", "horizontal", "vertical", "speed", "course")
 
 
@@ -171,11 +173,14 @@ def _times(table: DataTable, column: int, streams: Streams) -> Floats:
 
 
 def _location(t: Floats, columns: list[Floats], speed: float, streams: Streams) -> None:
-    """Fixes and velocities; of rows that repeat a place, as a table of faster sensors does, the first."""
+    """Fixes and velocities; of rows that repeat a place, as a table of faster sensors does, one every second."""
     table = np.stack(columns)
-    before = np.roll(np.nan_to_num(table[[0, 1, 5]]), 1, axis=1)
-    new = (np.nan_to_num(table[[0, 1, 5]]) != before).any(axis=0) & np.isfinite(table[:2]).all(axis=0)
-    new[0] = np.isfinite(table[:2, 0]).all()
+    known = np.isfinite(table[:2]).all(axis=0) & np.isfinite(t)
+    places = np.nan_to_num(table[[0, 1, 5]]).T.tolist()
+    new, last, before = np.zeros(t.size, dtype=np.bool_), -math.inf, [math.nan]
+    for i in np.flatnonzero(known):
+        if places[i] != before or t[i] - last >= _PERIOD - 1e-6:
+            new[i], last, before = True, t[i], places[i]
     if not new.any():
         return
     latitude, longitude, altitude, horizontal, vertical, velocity, course = table[:, new]
