@@ -76,6 +76,7 @@ FMU = ["fmpy>=0.3.32"]
 FLEET = ["distributed>=2024.5", "dask>=2024.5", "fsspec>=2024.5", "psutil>=5.9", "pyarrow>=15"]
 FOXGLOVE = ["foxglove-sdk>=0.14"]
 SCAN = ["laspy>=2.5", "lazrs>=0.6", "plyfile>=1.0", "pyproj>=3.6"]
+MDF = ["asammdf>=7.3"]
 DOCS = ["mkdocs>=1.6", "mkdocs-material>=9.5", "mkdocstrings[python]>=0.26", "latex2mathml>=3.77"]
 
 
@@ -106,12 +107,13 @@ setup(
     python_requires=">=3.10,<3.14",
     install_requires=REQUIRED,
     extras_require={
-        "test": TEST + DOCS + FOXGLOVE + FLEET + FMU + SCAN,
+        "test": TEST + DOCS + FOXGLOVE + FLEET + FMU + SCAN + MDF,
         "fleet": FLEET,
         "fmu": FMU,
         "s3": ["s3fs>=2024.5"],
         "foxglove": FOXGLOVE,
         "scan": SCAN,
+        "mdf": MDF,
         "docs": DOCS,
     },
     packages=find_packages(include=["suspension_twin", "suspension_twin.*"]),

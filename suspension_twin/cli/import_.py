@@ -26,7 +26,8 @@ def command(
         typer.Argument(
             metavar="FILE",
             help="Files, a folder or a zip of one recording: Sensor Logger, phyphox, MATLAB Mobile, RTKLIB .pos, "
-            "comma2k19, or a bag (MCAP, sqlite3, ROS 1). Several are parts of one drive.",
+            "comma2k19, VBO, CSV of AndroSensor, SensorLog, Physics Toolbox, RaceChrono, or a bag (MCAP, sqlite3, "
+            "ROS 1). Several are parts of one drive.",
         ),
     ],
     *,

@@ -66,6 +66,7 @@ SUBCOMMANDS = (
     ),
     Subcommand("simulate", f"{_HERE}.simulate", "The twin over a recorded drive, without ROS."),
     Subcommand("import", f"{_HERE}.import_", "A phone's or logger's recording into a bag."),
+    Subcommand("salvage", f"{_HERE}.salvage", "A cut-off or index-less recording, made readable."),
     Subcommand("damping", f"{_HERE}.damping", "Which dampers a tracked vehicle should have, by speed."),
     Subcommand("road", f"{_HERE}.road", "Roads: made, scanned, from profiles or drives; checks."),
 )

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 from rich.table import Column, Table
+from typer.core import TyperCommand
 
 from suspension_twin.cli.common import Force, Outputs, Seed, output
 from suspension_twin.errors import InputError
@@ -19,8 +20,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from suspension_twin.road.check import RoadCheck
+    from suspension_twin.vehicle.twin import Datum
 
-__all__ = ["RoadOut", "app", "print_figures"]
+__all__ = ["RoadOut", "app", "datum_line", "print_figures"]
 
 app = typer.Typer(context_settings={"help_option_names": ["-h", "--help"]})
 
@@ -28,6 +30,17 @@ RoadOut = Annotated[
     Path, typer.Option("--out", help="The road to write (OpenCRG).", metavar="ROAD", show_default=False)
 ]
 RoadFile = Annotated[Path, typer.Argument(help="An OpenCRG road.", metavar="ROAD", show_default=False)]
+
+
+class _Placed(TyperCommand):
+    """A command whose ``--at`` is a place on WGS 84 where it is written with commas."""
+
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]
+        """See click, of which some releases of typer have a copy."""
+        for i, (word, value) in enumerate(zip(args, [*args[1:], ""], strict=True)):
+            if word == "--at" and "," in value:
+                args[i] = "--at-latlon"
+        return super().parse_args(ctx, args)
 
 
 class Up(str, Enum):
@@ -155,7 +168,7 @@ def check(
         raise typer.Exit(1)
 
 
-@app.command()
+@app.command(cls=_Placed)
 def make(
     *,
     out: RoadOut,
@@ -194,6 +207,15 @@ def make(
         tuple[float, float, float],
         typer.Option(help="Start of the road in map, m, and its heading from east, deg.", metavar="X Y DEG"),
     ] = (0.0, 0.0, 0.0),
+    latlon: Annotated[
+        str | None,
+        typer.Option(
+            "--at-latlon",
+            help="Start of the road on WGS 84, degrees, and its heading from east, deg; --at with commas is the same.",
+            metavar="LAT,LON,HEADING",
+            show_default=False,
+        ),
+    ] = None,
     seed: Seed = 0,
     force: Force = False,
 ) -> None:
@@ -203,9 +225,11 @@ def make(
     """
     import math
 
+    from suspension_twin.pose.local_map import LocalMap
     from suspension_twin.road.check import check_road
     from suspension_twin.road.crg import write_road
     from suspension_twin.road.recipe import Kind, make_road, parse_feature
+    from suspension_twin.vehicle.twin import Datum
 
     outputs = Outputs(out, force=force)
     asked: tuple[tuple[Kind, list[str] | None], ...] = (
@@ -217,6 +241,10 @@ def make(
     features = [parse_feature(kind, text) for kind, texts in asked for text in texts or []]
     if not features and iso is None:
         raise InputError("road make", "give --iso, or one of --bump, --hump, --pothole and --ramp")
+    datum = None
+    if latlon is not None:
+        latitude, longitude, heading = _latlon(latlon)
+        at, datum = (0.0, 0.0, heading), Datum(latitude=latitude, longitude=longitude)
     made = make_road(
         length,
         width,
@@ -233,6 +261,33 @@ def make(
     with outputs:
         write_road(made, out)
     print_figures(check_road(made))
+    if datum is not None:
+        for name, u in [("start of the road", 0.0), *((f"{f.kind} at u {f.at:g} m", f.at) for f in features)]:
+            x, y = made.uv_to_xy(u, 0.0)
+            latitude, longitude, _ = LocalMap(datum).to_geodetic([float(x), float(y), 0.0])
+            output().print(f"{name}: {latitude:.7f}, {longitude:.7f}", markup=False)
+        output().print(
+            f"it runs at a bearing of {(90.0 - at[2]) % 360.0:.1f} deg (0 north, 90 east)", markup=False
+        )
+        output().print(f"The twin file of this road needs {datum_line(datum)}", markup=False)
+
+
+def _latlon(text: str) -> tuple[float, float, float]:
+    """Latitude, longitude and heading in degrees of the text ``LAT,LON,HEADING``."""
+    try:
+        latitude, longitude, heading = (float(part) for part in text.split(","))
+        fits = abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and abs(heading) <= 360.0
+    except ValueError:
+        fits = False
+    if not fits:
+        raise InputError("--at", f"{text!r} is no LAT,LON,HEADING in degrees such as 47.4025,19.284,90")
+    return latitude, longitude, heading
+
+
+def datum_line(datum: Datum) -> str:
+    """The line of a twin file that puts ``map`` at a datum."""
+    numbers = ", ".join(f"{key}: {value}" for key, value in datum.model_dump().items())
+    return f"datum: {{{numbers}}}"
 
 
 @app.command()

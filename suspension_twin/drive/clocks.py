@@ -6,12 +6,13 @@ A drive's time is POSIX time, so UTC without leap seconds.
 
 from __future__ import annotations
 
+import math
 import re
 import struct
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timezone
-from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -71,39 +72,59 @@ def iso_to_posix(text: str) -> float:
 
 
 _MOMENT = re.compile(
-    r"\s*(?P<date>\d[\w./-]*?)[T\s]+(?P<h>\d{1,2}):(?P<m>\d\d)(?::(?P<s>\d\d(?:[.,]\d+)?))?"
-    r"\s*(?P<half>[AaPp][Mm])?\s*(?P<zone>Z|UTC|GMT|[+-]\d\d:?\d\d)?\s*$"
+    r"\s*(?:(?P<date>\d[\w./-]*?)[T\s,]+)?(?P<h>\d{1,2}):(?P<m>\d\d)"
+    r"(?::(?P<s>\d\d(?:[.,]\d+)?)(?::(?P<ms>\d{3}))?)?\s*(?P<half>[AaPp][Mm])?"
+    r"\s*(?:Z|UTC|GMT)?\s*(?:(?P<sign>[+-])(?P<zh>\d\d?)(?::?(?P<zm>\d\d))?)?\s*$"
 )
-_DATES = ("%Y-%m-%d", "%Y/%m/%d", "%d-%b-%Y", "%d.%m.%Y", "%m/%d/%Y", "%Y%m%d")
+#: Dates as programs write them. Of several that fit a column the first is taken, so month before day as in America.
+_DATES = (
+    "%Y-%m-%d",
+    "%Y/%m/%d",
+    "%d-%b-%Y",
+    "%d.%m.%Y",
+    "%m/%d/%Y",
+    "%d/%m/%Y",
+    "%d-%m-%Y",
+    "%Y%m%d",
+)
+_DAY: Final = 86_400.0
 
 
-@lru_cache(maxsize=64)
-def _date(text: str) -> float:
-    for pattern in _DATES:
-        try:
-            return datetime.strptime(text, pattern).replace(tzinfo=timezone.utc).timestamp()
-        except ValueError:
-            continue
-    return float("nan")
+def _dates(texts: set[str]) -> dict[str, float]:
+    """POSIX time of dates, all by the one pattern that reads most of them; those that it does not read are left out."""
+
+    def read(pattern: str) -> dict[str, float]:
+        found = {}
+        for text in texts:
+            with suppress(ValueError):
+                found[text] = datetime.strptime(text, pattern).replace(tzinfo=timezone.utc).timestamp()
+        return found
+
+    return max(map(read, _DATES), key=len)
 
 
-def text_to_posix(texts: Sequence[str]) -> Floats:
+def text_to_posix(texts: Sequence[str], day: float = math.nan) -> Floats:
     """POSIX times (n,) of dates and times as programs write them; UTC where none names a zone, NaN
-    where it is no date and time. ``05/06/2024`` is taken as May, as American programs mean it."""
+    where it is no date and time. ``05/06/2024`` is taken as May, as American programs mean it, unless another date of
+    the column has no such month. Times without a date count from ``day`` (s) and go on past midnight."""
     t = np.full(len(texts), np.nan)
-    for i, text in enumerate(texts):
-        match = _MOMENT.match(text)
+    matches = [_MOMENT.match(text) for text in texts]
+    dates = _dates({match["date"] for match in matches if match is not None and match["date"]})
+    before = 0.0
+    for i, match in enumerate(matches):
         if match is None:
             continue
         hour = int(match["h"])
         if match["half"]:
             hour = hour % 12 + (12 if match["half"].lower() == "pm" else 0)
-        second = float((match["s"] or "0").replace(",", "."))
-        zone = match["zone"] or "Z"
-        shift = 0
-        if zone[0] in "+-":
-            shift = (int(zone[1:3]) * 60 + int(zone[-2:])) * (60 if zone[0] == "+" else -60)
-        t[i] = _date(match["date"]) + hour * 3600 + int(match["m"]) * 60 + second - shift
+        second = float((match["s"] or "0").replace(",", ".")) + int(match["ms"] or 0) * 1e-3
+        second += hour * 3600 + int(match["m"]) * 60
+        if not match["date"]:
+            if second < before - 0.5 * _DAY:
+                day += _DAY
+            before = second
+        shift = (int(match["zh"] or 0) * 60 + int(match["zm"] or 0)) * (-60 if match["sign"] == "-" else 60)
+        t[i] = (dates.get(match["date"], math.nan) if match["date"] else day) + second - shift
     return t
 
 

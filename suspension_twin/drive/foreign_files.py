@@ -259,8 +259,8 @@ def read_table(
 ) -> DataTable:
     """Parse one file.
 
-    ``header``: True if the first row names the columns, False if there are no names, a number of
-    rows to skip before the row of names, None to see (a NumPy array has none). ``delimiter`` and ``decimal``
+    ``header``: True if the first row names the columns, False if there are no names, a number of lines of the file,
+    empty ones too, to skip before the row of names, None to see (a NumPy array has none). ``delimiter`` and ``decimal``
     are recognised where None. Rows of another width than the table (a first or last line that is partial) are
     dropped and counted. Raises InputError if there is no table.
     """
@@ -268,11 +268,11 @@ def read_table(
         return DataTable(label, [], values=read_array(data, label))
     with reading(label, "a table"):
         text, legacy = _decode_text(data)
-        lines = _table_lines(text, label, comment)
         if isinstance(header, int) and not isinstance(header, bool):
-            lines, header = lines[header:], True
-            if not lines:
-                raise InputError(label, "holds no row of names after those to skip")
+            text, header = "\n".join(text.splitlines()[header:]), True
+            if not text.strip():
+                raise InputError(label, "holds no row of names after the lines to skip")
+        lines = _table_lines(text, label, comment)
         sample = lines[:_SAMPLE_LINES]
         delimiter = delimiter or _delimiter(sample)
         rows = _split(sample, delimiter)
@@ -298,7 +298,8 @@ def read_table(
         width = len(names) or _width(rows)
         whole = [row[:width] for row in rows if len(row) >= width and not any(row[width:])]
         if not whole:
-            raise InputError(label, "holds no rows of data")
+            below = f" as wide as its names: {_some(names)}" if rows else ""
+            raise InputError(label, f"holds no rows of data{below}")
         table.columns = list(zip(*whole, strict=True))
         if dropped := len(rows) - len(whole):
             lost = "1 line is" if dropped == 1 else f"{dropped} lines are"

@@ -29,10 +29,11 @@ from suspension_twin.drive.clocks import (
 )
 from suspension_twin.drive.foreign_files import DataTable, RecordedFiles, read_table
 from suspension_twin.drive.importers import IMPORTERS, read_source
+from suspension_twin.drive.mdf import MDF_MAGIC, MeasuredTable, open_mdf
 from suspension_twin.drive.stamps import began_again, unwrapped
 from suspension_twin.drive.streams import Series, Streams
 from suspension_twin.drive.types import FixData, HeadingData, VelocityData
-from suspension_twin.errors import InputError
+from suspension_twin.errors import InputError, shown
 from suspension_twin.files import read_yaml, reading
 from suspension_twin.schema import Strict, checked
 from suspension_twin.units import STANDARD_GRAVITY
@@ -101,9 +102,9 @@ class TimeSpec(LaggedSpec):
     """Stamps. ``base`` is the moment that they count from:
 
     ``posix`` since 1970 (UTC); ``gps`` since 1980 (GPS time); ``gps_week`` two columns, week and
-    second; ``text`` dates and times in words or ISO 8601; ``start`` since the moment ``start`` names; ``rtklib_tag``
-    the first and last sample stand at the first and last time of RTKLIB's ``tag`` file; ``clock`` a
-    clock of its own, tied to POSIX time by ``tie``.
+    second; ``text`` dates and times in words or ISO 8601, or times of the day that ``start`` names;
+    ``start`` since the moment ``start`` names; ``rtklib_tag`` the first and last sample stand at the
+    first and last time of RTKLIB's ``tag`` file; ``clock`` a clock of its own, tied to POSIX time by ``tie``.
 
     ``drift_ppm``: the clock runs fast by so many millionths, counted from the first sample. Neither it nor ``lag`` is
     guessed: give known values.
@@ -124,8 +125,8 @@ class TimeSpec(LaggedSpec):
             if (self.base == base) != (getattr(self, key) is not None):
                 raise ValueError(f"base {base} and key {key} belong together")
         if self.start is not None:
-            if self.base != "start":
-                raise ValueError("key start belongs to base start")
+            if self.base not in ("start", "text"):
+                raise ValueError("key start belongs to base start or text")
             try:
                 iso_to_posix(self.start)
             except ValueError:
@@ -332,6 +333,7 @@ class _Files:
     def __init__(self, recordings: Sequence[RecordedFiles], streams: Streams) -> None:
         self.recordings, self.streams = recordings, streams
         self.tables: dict[FileSpec, DataTable] = {}
+        self.measured: dict[int, DataTable] = {}
 
     def located(self, name: str) -> tuple[RecordedFiles, str]:
         """Recording and name of a file: among those given, or beside one of them."""
@@ -355,8 +357,16 @@ class _Files:
     def table(self, spec: FileSpec, outer: FileSpec | None = None) -> DataTable:
         """The table of a section."""
         chosen = spec.within(outer)
+        # Channels of a measurement have stamps of their own: a table for each section.
+        section = id(spec if outer is None or spec.file is not None else outer)
+        if section in self.measured:
+            return self.measured[section]
         if chosen not in self.tables:
-            table = read_table(*self.content(chosen.file), **chosen.model_dump(exclude={"file"}))
+            data, label = self.content(chosen.file)
+            if data.startswith(MDF_MAGIC):
+                self.measured[section] = MeasuredTable(label, [], measurement=open_mdf(data, label))
+                return self.measured[section]
+            table = read_table(data, label, **chosen.model_dump(exclude={"file"}))
             self.streams.warnings += table.warnings
             self.tables[chosen] = table
         return self.tables[chosen]
@@ -401,7 +411,14 @@ def _time(files: _Files, spec: TimeSpec, outer: FileSpec | None) -> Floats:
 def _posix(files: _Files, spec: TimeSpec, outer: FileSpec | None) -> Floats:
     table = files.table(spec, outer)
     if spec.base == "text":
-        return text_to_posix(table.text(spec.column))
+        texts = table.text(spec.column)
+        t = text_to_posix(texts, math.nan if spec.start is None else iso_to_posix(spec.start))
+        if not np.isfinite(t).any():
+            fault = "is no date and time"
+            if np.isfinite(text_to_posix(texts[:1], 0.0)).all():
+                fault = "names no day: give it in the mapping as start: 2024-05-01"
+            raise InputError(table.label, f"column {spec.column}", f"{shown(texts[0])} {fault}")
+        return t
     if spec.columns is not None:  # GPS week and second
         week, seconds = (table.numbers(column) for column in spec.columns)
         return week_to_posix(week, seconds * TIME_UNITS[spec.unit])
@@ -453,10 +470,10 @@ def _fix(files: _Files, spec: FixSpec) -> FixData:
         files.streams.warnings += found.warnings
         return replace(found.fix, t=found.fix.t - spec.lag, frame=spec.frame)
     assert spec.latitude is not None and spec.longitude is not None
-    table, t = files.table(spec), _received_time(files, spec)
-    nothing = np.full(t.size, np.nan)
-    scale = ANGLE_UNITS[spec.unit]
+    table, scale = files.table(spec), ANGLE_UNITS[spec.unit]
     latitude, longitude = (table.numbers(c) * scale for c in (spec.latitude, spec.longitude))
+    t = _received_time(files, spec)
+    nothing = np.full(t.size, np.nan)
     if t.size != latitude.size:
         raise InputError(table.label, f"{latitude.size} positions for {t.size} stamps")
     return FixData(
@@ -482,15 +499,20 @@ def _velocity(files: _Files, spec: VelocitySpec) -> None:
             raise InputError(spec.file or files.recordings[0].path, fault)
         files.streams.velocity = replace(found, t=found.t - spec.lag)
         return
-    table, t, scale = files.table(spec), _received_time(files, spec), SPEED_UNITS[spec.unit]
+    table, scale = files.table(spec), SPEED_UNITS[spec.unit]
     if spec.speed is not None and spec.bearing is not None:
-        degrees = table.numbers(spec.bearing) * ANGLE_UNITS[spec.bearing_unit]
-        files.streams.add_course(t, table.numbers(spec.speed) * scale, degrees)
+        speed, degrees = (
+            table.numbers(spec.speed),
+            table.numbers(spec.bearing) * ANGLE_UNITS[spec.bearing_unit],
+        )
+        files.streams.add_course(_received_time(files, spec), speed * scale, degrees)
         return
     assert spec.east is not None and spec.north is not None
-    up = np.zeros(t.size) if spec.up is None else table.numbers(spec.up)
-    enu = np.stack([table.numbers(spec.east), table.numbers(spec.north), up], axis=1) * scale
-    files.streams.velocity = VelocityData(t, enu)
+    east, north = table.numbers(spec.east), table.numbers(spec.north)
+    up = np.zeros(east.size) if spec.up is None else table.numbers(spec.up)
+    files.streams.velocity = VelocityData(
+        _received_time(files, spec), np.stack([east, north, up], axis=1) * scale
+    )
 
 
 def _heading(files: _Files, spec: HeadingSpec) -> HeadingData | None:

@@ -43,17 +43,18 @@ _INTERVALS, _FEWEST = 25, 2
 def held_places(fix: FixData) -> Bools:
     """Which fixes (n,) repeat the place of the one before them although the receiver had not computed a new one.
 
-    The interval between two computed positions is the median of those between different ones. Places that are repeated
+    The interval between two computed positions is the median of those between different ones, a second where there are
+    too few. Places that are repeated
     while the vehicle moves are held. A vehicle that stands has one place for long, too, of which one in each interval
     stays: the stream has no hole there.
     """
     step, places = np.diff(fix.t), np.column_stack([fix.latitude, fix.longitude, fix.status])
     same = np.concatenate([[False], (np.diff(places, axis=0) == 0).all(axis=1)])[: len(fix)]
     first = np.flatnonzero(~same)
-    if first.size == len(fix) or first.size < _FEWEST + 1:
+    if first.size == len(fix):
         return np.zeros(len(fix), dtype=np.bool_)
     lasted = np.diff(fix.t[first])
-    interval = min(float(np.median(lasted)), _SLOWEST)
+    interval = min(float(np.median(lasted)), _SLOWEST) if lasted.size >= _FEWEST else _SLOWEST
     east = np.diff(fix.longitude[first]) * np.cos(np.radians(fix.latitude[first[:-1]]))
     moved = _METRES * np.hypot(east, np.diff(fix.latitude[first])) > _MOVING * lasted
     run = np.cumsum(~same) - 1

@@ -115,10 +115,17 @@ def merge(parts: Sequence[Streams]) -> Streams:
 def assemble(streams: Streams, name: str, source: str) -> tuple[Drive, list[str]]:
     """The drive, and a line for each decision on the way.
 
-    Raises InputError naming ``source`` where there is no accelerometer, no gyroscope, or the two do
-    not overlap in time.
+    Raises InputError naming ``source`` and all that was lost where there is no accelerometer, no gyroscope, or the two
+    do not overlap in time.
     """
     notes, warnings = list(streams.notes), list(streams.warnings)
+    try:
+        return _assembled(streams, name, source, notes, warnings), notes
+    except InputError as error:
+        raise InputError("; ".join([str(error), *warnings])) from None
+
+
+def _assembled(streams: Streams, name: str, source: str, notes: list[str], warnings: list[str]) -> Drive:
     if streams.force is None:
         raise InputError(source, "no accelerometer data")
     if streams.rate is None:
@@ -155,7 +162,7 @@ def assemble(streams: Streams, name: str, source: str) -> tuple[Drive, list[str]
         if apart >= 0:
             text = f"IMU and GPS do not overlap in time: {apart:.1f} s lie between them, check the time base"
             drive = replace(drive, warnings=(*drive.warnings, text))
-    return drive, notes
+    return drive
 
 
 def with_velocities(drive: Drive) -> tuple[Drive, list[str]]:

@@ -25,15 +25,15 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.rosbag2.storage_mcap import McapWriter
 
 from suspension_twin.arrays import Floats
-from suspension_twin.drive.cdr import encode, ros2_types
+from suspension_twin.drive.cdr import encode, ros2_types, types_with
 from suspension_twin.drive.checks import nanoseconds
-from suspension_twin.drive.contents import topic_name, type_name
+from suspension_twin.drive.contents import Contents, topic_name, type_name
 from suspension_twin.drive.read import TYPES, Topics
 from suspension_twin.drive.types import Drive, FixData, ImuData, Samples, VelocityData
 from suspension_twin.errors import InputError
 from suspension_twin.files import check_writable, remove_leftovers, synchronise, temporary_beside, writing
 
-__all__ = ["BagWriter", "write_drive", "write_samples"]
+__all__ = ["BagWriter", "write_contents", "write_drive", "write_samples"]
 
 #: ns: the seconds of a stamp are 32 bits long.
 _LAST_STAMP = (1 << 31) * 1_000_000_000
@@ -50,18 +50,27 @@ class BagWriter:
     the context by an exception leaves nothing behind; a ``live`` recording keeps all that was flushed, and
     all of it is on the disk about a second later.
 
+    ``definitions`` (type name to its ``.msg`` text) adds types to those of ROS 2.
+
     Raises InputError where ``path`` is taken (``overwrite`` replaces a recording, and nothing but
     a recording) or would be taken for a ROS 1 bag, WorkError where it cannot be written.
     """
 
-    def __init__(self, path: str | Path, *, overwrite: bool = False, live: bool = False) -> None:
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        overwrite: bool = False,
+        live: bool = False,
+        definitions: Mapping[str, str] | None = None,
+    ) -> None:
         self.path = Path(path)
         self.bare = self.path.suffix == ".mcap"
         self.overwrite = overwrite
         self.live = live
         self._kept = time.monotonic()
         self._syncing: threading.Thread | None = None
-        self._store = ros2_types()
+        self._store = types_with(definitions) if definitions else ros2_types()
         self._connections: dict[str, Connection] = {}
         self._pending: list[tuple[Connection, NDArray[np.int64], list[bytes]]] = []
         self._check()
@@ -305,6 +314,34 @@ def write_drive(
         for samples in (drive.imu, drive.fix, drive.velocity, drive.heading):
             if samples is not None:
                 write_samples(bag, samples, topics)
+
+
+def write_contents(contents: Contents, path: str | Path, *, overwrite: bool = False) -> None:
+    """Write the raw messages of a recording as another one, in CDR; topics of unknown types are left out.
+
+    ``contents.warnings`` gets a line for each topic and message that cannot be written.
+    """
+    store = types_with(contents.definitions)
+    with BagWriter(path, overwrite=overwrite, definitions=contents.definitions) as bag:
+        for name, topic in list(contents.topics.items()):
+            stamps, data = topic.stamps, topic.data
+            if topic.msgtype not in store.fielddefs:
+                contents.warnings.append(
+                    f"{name}: {len(data)} messages of the unknown type {topic.msgtype}: left out"
+                )
+                del contents.topics[name]
+                continue
+            if contents.encoding == "ros1":
+                stamps, data = [], []
+                for stamp, message in zip(topic.stamps, topic.data, strict=True):
+                    with suppress(Exception):  # damaged: rosbags raises whatever it meets
+                        data.append(bytes(store.ros1_to_cdr(message, topic.msgtype)))
+                        stamps.append(stamp)
+                if lost := len(topic.data) - len(data):
+                    contents.warnings.append(
+                        f"{name}: {lost} of {len(topic.data)} messages are damaged: left out"
+                    )
+            bag.write_raw(name, topic.msgtype, np.array(stamps, dtype=np.int64), data)
 
 
 def write_samples(bag: BagWriter, samples: Samples, topics: Topics) -> None:

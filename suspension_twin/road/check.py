@@ -12,20 +12,31 @@ from typing import ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.road.crg import examine, load_road, scan_holes
 from suspension_twin.road.road import Road
-from suspension_twin.road.roughness import Roughness, iri, profile_roughness
+from suspension_twin.road.roughness import ProfileEvent, Roughness, iri, profile_events, profile_roughness
 from suspension_twin.road.smoothing import Spike, Spikes, find_spikes
 
-__all__ = ["PathFigures", "RoadCheck", "RoadFinding", "check_file", "check_road", "enclosed", "wheel_paths"]
+__all__ = [
+    "PathFigures",
+    "RoadCheck",
+    "RoadFinding",
+    "check_file",
+    "check_road",
+    "enclosed",
+    "on_itself",
+    "wheel_paths",
+]
 
 #: A jump this high (m) and this steep (m/m) between neighbours is a step, unless a spike makes it.
 _STEP, _STEP_SLOPE = 0.05, 1.0
 _STEEP_ROAD, _STEEP_BANK = 0.25, 0.15
 _COARSE = 0.25  # m; a wheel's contact patch is about as long
+_APART = 0.5  # m between places that are looked at: no road for a car is as narrow
 _TRACK = 1.5
 
 P = ParamSpec("P")
@@ -42,10 +53,14 @@ class RoadFinding:
 
 @dataclass(frozen=True, eq=False)
 class PathFigures:
-    """One wheel path: ``side``, ``v`` m, its ISO 8608 roughness and its IRI in m/m; None where it is too short."""
+    """One wheel path: ``side``, ``v`` m, its single events, its ISO 8608 roughness and its IRI in m/m.
+
+    The last two are None where they are not defined: a path is too short, or level beside its events.
+    """
 
     side: str
     v: float
+    events: tuple[ProfileEvent, ...]
     roughness: Roughness | None
     iri: float | None
 
@@ -53,12 +68,12 @@ class PathFigures:
     def iso8608(self) -> str:
         """The class in words."""
         if self.roughness is None:
-            return "too short to say"
+            return "not defined"
         r = self.roughness
         text = f"ISO 8608 class {r.letter} (G(n0) {1e6 * r.g0:.3g}e-6 m^3)"
-        if not r.events:
+        if not self.events:
             return text
-        count = "1 event" if len(r.events) == 1 else f"{len(r.events)} events"
+        count = "1 event" if len(self.events) == 1 else f"{len(self.events)} events"
         if r.letter == r.letter_with_events:
             return f"{text} with and without {count}"
         return f"{text} without {count}, {r.letter_with_events} with"
@@ -74,7 +89,7 @@ class PathFigures:
             "iso8608": known and known.letter,
             "g0": known and known.g0,
             "iso8608_with_events": known and known.letter_with_events,
-            "events": [] if r is None else [vars(e) for e in r.events],
+            "events": [vars(e) for e in self.events],
         }
 
 
@@ -163,6 +178,9 @@ def check_road(road: Road, also: tuple[RoadFinding, ...] = ()) -> RoadCheck:
         )
     findings += _largest([_spike_text(spike) for spike in spikes.found], 5, "and {} smaller spikes")
     findings += _steps(road, spikes) + _shape(road)
+    if (places := on_itself(road)) is not None:
+        text = "it lies on itself: u {:.1f} m and u {:.1f} m are one place in map, which has one height alone"
+        findings.append(RoadFinding(text.format(*places), True))
     return RoadCheck(road, facts, tuple(findings), spikes, paths)
 
 
@@ -192,6 +210,7 @@ def _path_figures(road: Road) -> tuple[PathFigures, ...]:
         PathFigures(
             side,
             v,
+            _unless_short(profile_events, z, road.u_step, road.u_first) or (),
             _unless_short(profile_roughness, z, road.u_step, road.u_first),
             _unless_short(iri, z, road.u_step),
         )
@@ -200,7 +219,7 @@ def _path_figures(road: Road) -> tuple[PathFigures, ...]:
 
 
 def _unless_short(figure: Callable[P, Figure], *given: P.args, **named: P.kwargs) -> Figure | None:
-    """A figure of a profile; None where the profile is too short for it."""
+    """A figure of a profile; None where it is not defined."""
     try:
         return figure(*given, **named)
     except InputError:
@@ -255,7 +274,7 @@ def _events(paths: tuple[PathFigures, ...]) -> str:
     """The largest events of each wheel path, once where both paths have the same."""
     texts = []
     for path in paths:
-        events = () if path.roughness is None else path.roughness.events
+        events = path.events
         largest = sorted(events, key=lambda e: -max(abs(e.height), abs(e.rise)))[:4]
         if largest:
             more = f" and {len(events) - 4} more" if len(events) > 4 else ""
@@ -292,6 +311,38 @@ def _steps(road: Road, spikes: Spikes) -> list[RoadFinding]:
         for size, u in sized
     ]
     return _largest(texts, 3, "and steps at {} more places")
+
+
+def on_itself(road: Road) -> tuple[float, float] | None:
+    """u of two cross sections, m, that lie on each other in ``map``: where a road first crosses or meets itself.
+
+    The end of a closed track may meet its start, and what lies within half a turn about a border is a bend.
+    """
+    every = max(1, round(_APART / road.u_step))
+    u, x, y = (a[::every] for a in (road.u, road.x, road.y))
+    v = road.v[~np.isnan(road.z).all(axis=0)]
+    if u.size < 3 or road.straight:
+        return None
+    step, reach = every * road.u_step, float(np.abs(v).max())
+    closed = math.hypot(road.x[-1] - road.x[0], road.y[-1] - road.y[0]) < reach
+    heading = np.arctan2(np.gradient(y), np.gradient(x))
+    found = []
+    for across in (v[0], 0.5 * (v[0] + v[-1]), v[-1]):
+        places = np.column_stack(road.uv_to_xy(u, across))
+        near = cKDTree(places).sparse_distance_matrix(
+            cKDTree(np.column_stack([x, y])), reach + step, output_type="coo_matrix"
+        )
+        i, j = near.row, near.col
+        apart = np.abs(u[i] - u[j])
+        dx, dy = places[i, 0] - x[j], places[i, 1] - y[j]
+        along, beside = (
+            dx * np.cos(heading[j]) + dy * np.sin(heading[j]),
+            dy * np.cos(heading[j]) - dx * np.sin(heading[j]),
+        )
+        on = (np.abs(along) <= 0.5 * step) & (beside > v[0]) & (beside < v[-1])
+        on &= np.minimum(apart, road.length - apart if closed else np.inf) > math.pi * reach
+        found += [(min(a, b), max(a, b)) for a, b in zip(u[i[on]].tolist(), u[j[on]].tolist(), strict=True)]
+    return min(found, default=None)
 
 
 def _shape(road: Road) -> list[RoadFinding]:

@@ -421,6 +421,19 @@ class Road:
         """The road with other heights (nu, nv) m, in single precision."""
         return replace(self, z=single_precision(z))
 
+    def part(self, first: int, end: int) -> Road:
+        """The cross sections from ``first`` up to ``end`` alone, without ends that fade or close."""
+        line, kept = self.reference, slice(first, end)
+        x, y, z, bank = (a[kept] for a in (line.x, line.y, line.z, line.bank))
+        before, after = self.headings
+        if first > 0:
+            before = float(np.arctan2(y[1] - y[0], x[1] - x[0]))
+        if end < self.x.size:
+            after = float(np.arctan2(y[-1] - y[-2], x[-1] - x[-2]))
+        cut = ReferenceLine(x, y, z, bank, line.step, (before, after), float(self.u[first]))
+        borders = Borders(self.borders.u, self.borders.v)
+        return replace(self, z=self.z[kept], reference=cut, borders=borders)
+
     def scaled(self, factor: float) -> Road:
         """The road with every height multiplied by ``factor``."""
         scaled = replace(self, z=self.z * factor, borders=self.borders.moved(factor))

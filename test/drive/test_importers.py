@@ -10,6 +10,7 @@ import shutil
 import sys
 import zipfile
 from collections.abc import Callable
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
@@ -334,6 +335,63 @@ def phyphox(
     return folder
 
 
+#: Latitude, longitude, altitude, accuracies and speed in languages of the app (its own translations).
+PLACES = {
+    "en": "Latitude;Longitude;Altitude;Horizontal Accuracy;Vertical Accuracy;Speed;Direction",
+    "de": "Breitengrad;Längengrad;Höhe;Horizontale Genauigkeit;Vertikale Genauigkeit;Geschwindigkeit;Richtung",
+    "cs": "Zeměpisná šířka;Zeměpisná délka;Výška;Horizontální přesnost;Vertikální přesnost;Rychlost;Směr",
+    "pl": "Szerokość geograficzna;Długość;Wysokość;Dokładność w poziomie;Dokładność w pionie;Szybkość;Kierunek",
+    "nl": "Breedtegraad;Lengtegraad;Hoogte;Horizontale Nauwkeurigheid;Verticale Nauwkeurigheid;Snelheid;Richting",
+    "ru": "Широта;Долгота;Высота;Горизонтальная точность;Вертикальная точность;Скорость;Направление",
+    "it": "Latitudine;Longitudine;Altezza;Accuratezza orizzontale;Accuratezza verticale;Velocità;Direzione",
+    "el": "Γεωγραφικό Πλάτος;Γεωγραφικό Μήκος;Υψόμετρο;Οριζόντια ακρίβεια;Κατακόρυφη ακρίβεια;Ταχύτητα;Κατεύθυνση",
+    "ja": "緯度;経度;高度;水平方向精度;垂直方向精度;速度;方位",
+    "pt": "Latitude;Longitude;Altura;Precisão Horizontal;Precisão Vertical;Velocidade;Direção",
+    "tr": "Enlem;Boylam;Yükseklik;Yatay doğruluk;Dikey doğruluk;Hız;Yön",
+    "zh_Hant": "緯度;經度;高度;水平精準度;鉛直精準度;速度;方向",
+    "zh_Hans": "纬度;经度;高度;平面位置精度;垂直位置精度;速度;方向",
+    "fr": "Latitude;Longitude;Altitude;Précision horizontale;Précision verticale;Vitesse;Direction",
+    "vi": "Vĩ độ;Kinh độ;Độ cao;Sai số ngang;Sai số cao;Tốc độ;Hướng",
+    "sr_Latn": "Širina;Dužina;Visina;Horizontalna tačnost;Vertikalna tačnost;Brzina;Pravac",
+    "es": "Latitud;Longitud;Altitud;Precisión horizontal;Precisión vertical;Velocidad;Dirección",
+}
+#: Those whose words are not known here: the order of the app decides.
+ORDERED = {"xx": "aa;bb;cc;dd;ee;ff;gg", "hi": "ऊँचाई;देशांतर;ऊँचाई;क्षैतिज यथार्थता;उर्ध्वाधर यथार्थता;चाल;दिशा"}
+
+
+@pytest.mark.parametrize("altitude", [650.0, -20.0])
+@pytest.mark.parametrize("language", [*PLACES, *ORDERED])
+def test_phyphox_reads_a_location_by_the_names_of_its_columns(
+    language: str, altitude: float, tmp_path: Path
+) -> None:
+    """The app's own GPS experiment exports two altitudes; the one over the ellipsoid counts, and may be negative."""
+    folder = phyphox(tmp_path / "rec")
+    latitude, longitude, height, *accuracies, speed, course = (PLACES | ORDERED)[language].split(";")
+    columns = {
+        f"{latitude} (°)": LATITUDE,
+        f"{longitude} (°)": LONGITUDE,
+        f"{height} (m)": np.full(5, altitude - 48.0),
+        f"{height} WGS84 (m)": np.full(5, altitude),
+        f"{speed} (m/s)": SPEED,
+        f"{course} (°)": BEARING,
+        "Distance (km)": np.arange(5.0),
+        f"{accuracies[0]} (m)": np.full(5, 3.0),
+        f"{accuracies[1]} (m)": np.full(5, 4.0),
+        "Satellites": np.full(5, 14.0),
+    }
+    names = list(columns)
+    if language in PLACES:
+        np.random.default_rng(len(language) + int(abs(altitude))).shuffle(names)
+    lines = [",".join(["Time (s)", *names])]
+    lines += [
+        ",".join(map(repr, map(float, row))) for row in zip(TL, *(columns[n] for n in names), strict=True)
+    ]
+    (folder / "Location.csv").write_text("\n".join(lines))
+    drive = check(folder).drive
+    np.testing.assert_allclose(drive.fix.altitude, altitude)
+    np.testing.assert_allclose(drive.fix.sigma[0], [3 / np.sqrt(2), 3 / np.sqrt(2), 4.0])
+
+
 @pytest.mark.parametrize(
     ("delimiter", "comma"), [(",", False), ("\t", False), (";", False), (";", True), ("\t", True)]
 )
@@ -647,6 +705,238 @@ def test_rtklib_files_that_cannot_be_read(tmp_path: Path) -> None:
         import_drive([_pos(path)])
 
 
+# --- one table of all sensors (logger_csv, and Sensor Logger's)
+
+
+def _resampled(values: np.ndarray, t: np.ndarray) -> np.ndarray:
+    return np.array([np.interp(T, t, column) for column in np.atleast_2d(values.T)]).T
+
+
+def _held(values: np.ndarray) -> list[float]:
+    """Values of a receiver in the rows of a faster sensor."""
+    return [float(values[np.searchsorted(TL, t, side="right") - 1]) for t in T]
+
+
+def _place_columns() -> tuple[list[float], ...]:
+    return tuple(_held(v) for v in (LATITUDE, LONGITUDE, np.full(5, 120.0), SPEED, BEARING))
+
+
+def _clock(form: str) -> list[str]:
+    """Stamps of the samples, as an app writes them with milliseconds."""
+    moments = [datetime.fromtimestamp(START + t, tz=timezone.utc) for t in T]
+    return [moment.strftime(form).format(ms=f"{round(moment.microsecond / 1000):03}") for moment in moments]
+
+
+def androsensor(path: Path) -> None:
+    latitude, longitude, altitude, speed, course = _place_columns()
+    head = [
+        *(f"ACCELEROMETER {a} (m/s²)" for a in "XYZ"),
+        *(f"GRAVITY {a} (m/s²)" for a in "XYZ"),
+        *(f"GYROSCOPE {a} (rad/s)" for a in "XYZ"),
+        "LOCATION Latitude : ",
+        "LOCATION Longitude : ",
+        "LOCATION Altitude ( m)",
+        "LOCATION Altitude-google ( m)",
+        "LOCATION Speed ( Kmh)",
+        "LOCATION Accuracy ( m)",
+        "LOCATION ORIENTATION (°)",
+        "Satellites in range",
+        "Time since start in ms ",
+        "YYYY-MO-DD HH-MI-SS_SSS",
+    ]
+    columns = [
+        *FORCE.T,
+        *GRAVITY.T,
+        *_resampled(RATE, TG).T,
+        latitude,
+        longitude,
+        altitude,
+        [f"{a - 40}" for a in altitude],
+    ]
+    columns += [[3.6 * v for v in speed], [5.0] * T.size, course, ["7 / 12"] * T.size, 1000.0 * T]
+    rows = zip(*columns, _clock("%Y-%m-%d %H:%M:%S:{ms}"), strict=True)
+    path.write_text("\n".join(["sep=;", ";".join(head), *(";".join(map(str, row)) for row in rows)]))
+
+
+def sensorlog(path: Path) -> None:
+    latitude, longitude, altitude, speed, course = _place_columns()
+    head = [
+        "loggingTime(txt)",
+        "locationTimestamp_since1970(s)",
+        "locationLatitude(WGS84)",
+        "locationLongitude(WGS84)",
+    ]
+    head += ["locationAltitude(m)", "locationSpeed(m/s)", "locationCourse(°)", "locationVerticalAccuracy(m)"]
+    head += ["locationHorizontalAccuracy(m)", "accelerometerTimestamp_sinceReboot(s)"]
+    head += [f"accelerometerAcceleration{a}(G)" for a in "XYZ"] + [f"gyroRotation{a}(rad/s)" for a in "XYZ"]
+    columns = [_clock("%Y-%m-%d %H:%M:%S.{ms} +0000"), T, latitude, longitude, altitude, speed, course]
+    columns += [[3.0] * T.size, [5.0] * T.size, T + 99.0, *(-FORCE.T / G), *_resampled(RATE, TG).T]
+    path.write_text(
+        "\n".join([",".join(head), *(",".join(map(str, row)) for row in zip(*columns, strict=True))])
+    )
+
+
+def physics_toolbox(path: Path, seconds: bool) -> None:
+    latitude, longitude, _, speed, course = _place_columns()
+    head = "time,gFx,gFy,gFz,TgF,ax,ay,az,wx,wy,wz,Latitude,Longitude,Speed (m/s),Bearing"
+    stamps = T if seconds else _clock("%H:%M:%S:{ms}")
+    columns = [stamps, *(FORCE.T / G), np.linalg.norm(FORCE, axis=1) / G, *LINEAR.T, *_resampled(RATE, TG).T]
+    columns += [latitude, longitude, speed, course]
+    path.write_text("\n".join([head, *(",".join(map(str, row)) for row in zip(*columns, strict=True))]))
+
+
+def racechrono(path: Path) -> None:
+    latitude, longitude, altitude, speed, course = _place_columns()
+    head = "timestamp,fragment_id,elapsed_time,altitude,bearing,latitude,longitude,speed,"
+    head += "x_acc,y_acc,z_acc,device_update_rate,x_rate_of_rotation,y_rate_of_rotation,z_rate_of_rotation"
+    units = "unix time,,s,m,deg,deg,deg,m/s,G,G,G,Hz,deg/s,deg/s,deg/s"
+    columns = [START + T, [0] * T.size, T, altitude, course, latitude, longitude, speed, *(FORCE.T / G)]
+    columns += [[100] * T.size, *np.degrees(_resampled(RATE, TG)).T]
+    rows = [",".join(map(repr, map(float, row))) for row in zip(*columns, strict=True)]
+    path.write_text(
+        "\n".join(["Created by an app", "Format,3", "", "Note,", "", head, units, "," * 14, *rows])
+    )
+
+
+def sensor_logger_combined(path: Path) -> None:
+    latitude, longitude, altitude, speed, course = _place_columns()
+    head = [
+        "time",
+        "seconds_elapsed",
+        *(f"gyroscope_{a}" for a in "zyx"),
+        *(f"totalAcceleration_{a}" for a in "zyx"),
+    ]
+    head += ["location_horizontalAccuracy", "location_verticalAccuracy", "location_speed", "location_bearing"]
+    head += ["location_altitude", "location_longitude", "location_latitude"]
+    rate = _resampled(RATE, TG)
+    rows = []
+    for i, t in enumerate(T):
+        row = [START_NS + round(t * 1e9), t, *rate[i, ::-1], *FORCE[i, ::-1]]
+        place = [5.0, 3.0, speed[i], course[i], altitude[i], longitude[i], latitude[i]]
+        rows.append([*row, *(place if i % 100 == 0 else [""] * 7)])
+    path.write_text("\n".join([",".join(head), *(",".join(map(str, row)) for row in rows)]))
+
+
+@pytest.mark.parametrize(
+    ("name", "write", "origin"),
+    [
+        ("androsensor", androsensor, "AndroSensor"),
+        ("sensorlog", sensorlog, "SensorLog"),
+        ("racechrono", racechrono, "RaceChrono"),
+        ("sensor_logger", sensor_logger_combined, "Sensor Logger"),
+    ],
+)
+def test_one_table_of_all_sensors(
+    name: str, write: Callable[[Path], None], origin: str, tmp_path: Path
+) -> None:
+    write(tmp_path / f"{name}.csv")
+    imported = import_drive([tmp_path / f"{name}.csv"])
+    assert imported.origin == origin
+    drive = imported.drive
+    np.testing.assert_allclose(drive.imu.t - START, T, atol=1e-3)
+    np.testing.assert_allclose(drive.imu.specific_force, FORCE, atol=1e-9)
+    np.testing.assert_allclose(drive.imu.angular_rate, _resampled(RATE, TG), atol=1e-9)
+    some = T[-1] >= TL
+    np.testing.assert_allclose(drive.fix.t - START, TL[some], atol=1e-3)
+    np.testing.assert_allclose(drive.fix.latitude, LATITUDE[some], atol=1e-9)
+    np.testing.assert_allclose(drive.fix.altitude, 120.0)
+    np.testing.assert_allclose(drive.velocity.enu, EAST[some], atol=1e-9)
+    if origin != "RaceChrono":
+        np.testing.assert_allclose(drive.fix.sigma[:, 0], 5.0 / np.sqrt(2.0))
+
+
+def test_a_receiver_that_stands_is_no_gap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its place does not change from row to row, as between two fixes."""
+    for name in ("LATITUDE", "LONGITUDE", "SPEED"):
+        monkeypatch.setitem(globals(), name, np.full(5, 0.5))
+    androsensor(tmp_path / "log.csv")
+    fix = import_drive([tmp_path / "log.csv"]).drive.fix
+    assert (
+        fix.t[0] == pytest.approx(START, abs=1e-3)
+        and np.diff(fix.t).min() > 0.9
+        and np.diff(fix.t).max() < 2.0
+    )
+
+
+@pytest.mark.parametrize("seconds", [False, True])
+def test_physics_toolbox_has_no_date(seconds: bool, tmp_path: Path) -> None:
+    physics_toolbox(tmp_path / "log.csv", seconds)
+    imported = import_drive([tmp_path / "log.csv"])
+    assert imported.origin == "Physics Toolbox"
+    assert any("no date" in text for text in imported.drive.warnings)
+    start = 0.0 if seconds else START % 86400
+    np.testing.assert_allclose(imported.drive.imu.t - start, T, atol=1e-3)
+    np.testing.assert_allclose(imported.drive.imu.specific_force, FORCE, atol=1e-9)
+    np.testing.assert_allclose(imported.drive.imu.angular_rate, _resampled(RATE, TG), atol=1e-9)
+    np.testing.assert_allclose(imported.drive.velocity.enu, EAST[T[-1] >= TL], atol=1e-9)
+
+
+def vbo(path: Path, inertial: bool, unit: str = "kmh", midnight: bool = False) -> float:
+    """A file of a VBOX; returns the POSIX time of its first row."""
+    start = START - START % 86400 + (86398.0 if midnight else 36000.5)
+    names = "sats time lat long velocity heading height vert-vel"
+    header = ["satellites", "time", "latitude", "longitude", f"velocity {unit}", "heading", "height"]
+    factor = {"kmh": 3.6, "knots": 3600 / 1852, "mph": 1 / 0.44704}[unit]
+    if inertial:
+        names += " x_accel y_accel z_accel rollrate pitchrate yawrate"
+    day = datetime.fromtimestamp(start, tz=timezone.utc)
+    rows = []
+    for i, t in enumerate(T if inertial else TL):
+        moment = datetime.fromtimestamp(start + t, tz=timezone.utc)
+        k = min(int(t), 4)
+        row = [f"{73 if i else 64:03}", moment.strftime("%H%M%S.") + f"{round(moment.microsecond / 1e4):02}"]
+        row += [f"{60 * LATITUDE[k]:+014.8f}", f"{-60 * LONGITUDE[k]:+014.8f}", f"{factor * SPEED[k]:07.3f}"]
+        row += [f"{BEARING[k]:06.2f}", "+120.00", "+000.00"]
+        if inertial:
+            row += [f"{v:+.9f}" for v in (*FORCE[i] / G, *np.degrees(_resampled(RATE, TG)[i]))]
+        rows.append(" ".join(row))
+    first = f"File created on {day:%d/%m/%Y} @ {day:%H:%M:%S}"
+    text = [
+        first,
+        "",
+        "[header]",
+        *header,
+        "",
+        "[comments]",
+        "Log Rate (Hz) : 100.00",
+        "",
+        "[column names]",
+        names,
+        "",
+    ]
+    path.write_text("\r\n".join([*text, "[data]", *rows, ""]))
+    return start
+
+
+@pytest.mark.parametrize("midnight", [False, True])
+@pytest.mark.parametrize("unit", ["kmh", "knots", "mph"])
+def test_a_vbo_gives_positions_to_an_imu(unit: str, midnight: bool, tmp_path: Path) -> None:
+    """Minutes, west positive, the day of its first line; without satellites there is no fix."""
+    start = vbo(tmp_path / "track.vbo", False, unit, midnight)
+    _csv(tmp_path / "imu.csv", "t,ax,ay,az,gx,gy,gz", start + T, *FORCE.T, *_resampled(RATE, TG).T)
+    (tmp_path / "map.yaml").write_text(
+        "imu:\n  file: imu.csv\n  time: {column: t}\n  specific_force: {columns: [ax, ay, az], unit: m/s2}\n"
+        "  angular_rate: {columns: [gx, gy, gz], unit: rad/s}\nfix: {file: track.vbo, importer: vbo}\n"
+        "vel: {file: track.vbo, importer: vbo}\n"
+    )
+    files = [tmp_path / "imu.csv", tmp_path / "track.vbo"]
+    drive = import_drive(files, mapping=tmp_path / "map.yaml").drive
+    np.testing.assert_allclose(drive.fix.t - start, TL, atol=0.006)
+    np.testing.assert_allclose(drive.fix.latitude, LATITUDE, atol=1e-9)
+    np.testing.assert_allclose(drive.fix.longitude, LONGITUDE, atol=1e-9)
+    assert drive.fix.status.tolist() == [-1, 2, 2, 2, 2]
+    np.testing.assert_allclose(drive.velocity.enu, EAST, atol=1e-3)
+
+
+def test_a_vbo_with_an_imu_is_a_drive(tmp_path: Path) -> None:
+    start = vbo(tmp_path / "track.vbo", True)
+    imported = import_drive([tmp_path / "track.vbo"])
+    assert imported.origin == "VBO"
+    np.testing.assert_allclose(imported.drive.imu.t - start, T, atol=0.006)
+    np.testing.assert_allclose(imported.drive.imu.specific_force, FORCE, atol=1e-6)
+    np.testing.assert_allclose(imported.drive.imu.angular_rate, _resampled(RATE, TG), atol=1e-6)
+
+
 # --- clocks, velocities, figures
 
 
@@ -677,11 +967,32 @@ def test_dates_and_times_as_programs_write_them() -> None:
         "05/01/2024 10:00:02.5 AM",
         "01.05.2024 10:00:02.5",
         "2024-05-01T12:00:02.5+02:00",
-        "20240501T100002.5Z".replace("T100002.5", "T10:00:02.5"),
+        "20240501T10:00:02.5Z",
+        "2024-05-01 10:00:02:500",
+        "2024-05-01 12:00:02.5 UTC+02:00",
+        "2024-05-01 07:30:02.5 GMT-2:30",
+        "2024-05-01 12:00:02.5 +0200",
+        "2024-05-01 13:00:02.5 UTC+3",
+        "05/01/2024, 10:00:02.5",
     ):
         assert text_to_posix([text])[0] == pytest.approx(expected, abs=1e-6), text
-    assert np.isnan(text_to_posix(["", "noon", "2024-13-01 10:00:00"])).all()
+    assert np.isnan(text_to_posix(["", "noon", "2024-13-01 10:00:00", "10:00:00"])).all()
     assert text_to_posix(["05/01/2024 12:30:00 PM"])[0] - iso_to_posix("2024-05-01") == 12.5 * 3600
+
+
+@pytest.mark.parametrize("separator", ["/", "-", "."])
+def test_days_before_months_where_a_date_shows_it(separator: str) -> None:
+    """One order for the whole column; without such a date a slash is American."""
+    days = [f"{day:02}{separator}{month:02}{separator}2019 23:59:59" for day, month in ((12, 9), (13, 9))]
+    assert np.diff(text_to_posix(days)) == 86400.0
+    assert text_to_posix(days)[0] == iso_to_posix("2019-09-12T23:59:59")
+
+
+def test_times_of_the_day_go_on_past_midnight() -> None:
+    day = iso_to_posix("2019-09-13")
+    texts = ["23:59:58.5", "23:59:59:250", "x", "00:00:00.0", "00:00:01"]
+    found = text_to_posix(texts, day) - day - 86400
+    np.testing.assert_allclose(found, [-1.5, -0.75, np.nan, 0.0, 1.0], atol=1e-6)
 
 
 def test_velocities_from_speed_and_bearing() -> None:

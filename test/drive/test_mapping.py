@@ -6,6 +6,8 @@ from __future__ import annotations
 import csv
 import io
 import struct
+import sys
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
@@ -83,6 +85,19 @@ def test_lines_that_are_not_whole_are_left_out() -> None:
     table = read_table(data, "imu.csv", header=False)
     np.testing.assert_array_equal(table.numbers(0), [0.1, 0.4, np.nan, 0.7])
     assert "2 lines are not whole" in table.warnings[0]
+
+
+@pytest.mark.parametrize("newline", ["\n", "\r\n"])
+@pytest.mark.parametrize(
+    "before", [[], [""], ["made by", "", "Format,3", ""], ["", "", "#c", "x"], ["a,b,c", "", "1,2,3"]]
+)
+def test_lines_to_skip_are_lines_of_the_file(before: list[str], newline: str) -> None:
+    """As an editor counts them: empty ones and comments too."""
+    data = newline.join([*before, "t,ax", "", "0.5,1", "1.5,2"]).encode()
+    table = read_table(data, "t.csv", header=len(before))
+    assert table.names == ["t", "ax"] and table.numbers("t").tolist() == [0.5, 1.5]
+    with pytest.raises(InputError, match="no row of names after the lines to skip"):
+        read_table(data, "t.csv", header=len(before) + 4)
 
 
 def test_other_encodings() -> None:
@@ -215,6 +230,110 @@ def test_time_bases(tmp_path: Path) -> None:
     mapping = _mapping(tmp_path / "map.yaml", {"time": {"base": "gps_week", "columns": ["week", "tow"]}})
     drive = import_drive([tmp_path / "imu.csv"], mapping=mapping).drive
     np.testing.assert_allclose(drive.imu.t, START + T, atol=1e-6)
+
+
+MOMENTS = {
+    "2019-09-07 %H:%M:%S:{ms}": "",
+    "2019-09-07 %H:%M:%S.{ms} UTC+00:00": "",
+    "07/09/2019 %H:%M:%S.{ms}": "",  # Americans' July, at the same time of the day
+    "13/09/2019 %H:%M:%S.{ms}": "",
+    "%H:%M:%S.{ms}": "2019-09-07",
+    "%H:%M:%S:{ms}": "2019-09-07T00:00:00Z",
+}
+
+
+@pytest.mark.parametrize("form", MOMENTS)
+def test_times_as_apps_write_them(form: str, tmp_path: Path) -> None:
+    start = datetime(2019, 9, 7, 23, 59, 59, 6000)
+    moments = [start + timedelta(seconds=float(t)) for t in T if t < 0.99]
+    if not MOMENTS[form]:
+        moments = [moment - timedelta(hours=3) for moment in moments]
+    stamps = [moment.strftime(form).format(ms=f"{moment.microsecond // 1000:03}") for moment in moments]
+    n = len(stamps)
+    table = _table(tmp_path / "log.csv", stamps, FORCE[:n], RATE[:n])
+    time = {"column": "t", "base": "text"}
+    if MOMENTS[form]:
+        with pytest.raises(
+            InputError, match=r"log\.csv: column t: '23:59:59.006' names no day: .* start: 2024"
+        ):
+            import_drive([table], mapping=_mapping(tmp_path / "map.yaml", {"time": time}))
+        time["start"] = MOMENTS[form]
+    imported = import_drive([table], mapping=_mapping(tmp_path / "map.yaml", {"time": time}))
+    t = imported.drive.imu.t
+    np.testing.assert_allclose(t - t[0], T[:n], atol=1e-6)
+    assert t[0] % 86400 == pytest.approx((86399.006 if MOMENTS[form] else 75599.006), abs=1e-6)
+
+
+def test_a_text_that_is_no_time_is_named(tmp_path: Path) -> None:
+    table = _table(tmp_path / "log.csv", [f"half past {i}" for i in range(N)])
+    mapping = _mapping(tmp_path / "map.yaml", {"time": {"column": "t", "base": "text"}})
+    with pytest.raises(InputError, match=r"log\.csv: column t: 'half past 0' is no date and time"):
+        import_drive([table], mapping=mapping)
+
+
+def test_a_refusal_says_what_was_lost(tmp_path: Path) -> None:
+    force = np.full_like(FORCE, np.nan)
+    table = _table(tmp_path / "log.csv", T, force)
+    with pytest.raises(
+        InputError, match=r"no usable accelerometer data; 300 of 300 .* are no numbers: left out"
+    ):
+        import_drive([table], mapping=_mapping(tmp_path / "map.yaml"))
+
+
+def _measurement(path: Path, fault: str = "") -> None:
+    """MDF4: accelerations in g at 100 Hz, rates in deg/s at 50 Hz, positions at 1 Hz."""
+    asammdf = pytest.importorskip("asammdf")
+    measurement = asammdf.MDF(version="4.10")
+    measurement.header.start_time = datetime.fromtimestamp(START, tz=timezone.utc)
+    slow = np.arange(0.0, T[-1] + 0.001, 1.0)
+    groups = [
+        (T, dict(zip(("ax", "ay", "az"), FORCE.T / G, strict=True)), "g"),
+        (T[::2], dict(zip(("gx", "gy", "gz"), np.degrees(RATE[::2]).T, strict=True)), "deg/s"),
+        (slow, {"lat": 47.0 + 1e-4 * slow, "lon": 19.0 + 0.0 * slow}, "deg"),
+    ]
+    for stamps, channels, unit in groups:
+        signals = [
+            asammdf.Signal(np.array(v), stamps, name=n, unit=unit) for n, v in channels.items() if n != fault
+        ]
+        measurement.append(signals, common_timebase=True)
+    measurement.save(path)
+
+
+MDF_MAP = {
+    "imu": {
+        "time": {},
+        "specific_force": {"columns": ["ax", "ay", "az"], "unit": "g"},
+        "angular_rate": {"columns": ["gx", "gy", "gz"], "unit": "deg/s"},
+    },
+    "fix": {"time": {}, "latitude": "lat", "longitude": "lon"},
+}
+
+
+def test_an_mdf_file_by_its_channels(tmp_path: Path) -> None:
+    _measurement(tmp_path / "bench.mf4")
+    (tmp_path / "map.yaml").write_text(yaml.safe_dump(MDF_MAP))
+    drive = import_drive([tmp_path / "bench.mf4"], mapping=tmp_path / "map.yaml").drive
+    np.testing.assert_allclose(drive.imu.t, START + T, atol=1e-6)
+    np.testing.assert_allclose(drive.imu.specific_force, FORCE, atol=1e-9)
+    np.testing.assert_allclose(drive.imu.angular_rate[::2], RATE[::2], atol=1e-9)
+    np.testing.assert_allclose(drive.fix.t, START + np.arange(3.0), atol=1e-6)
+    np.testing.assert_allclose(drive.fix.latitude, 47.0 + 1e-4 * np.arange(3.0))
+    _measurement(tmp_path / "bench2.mf4", fault="ay")
+    with pytest.raises(InputError, match=r"bench2\.mf4: channel ay: is not there; the channels are .*ax, az"):
+        import_drive([tmp_path / "bench2.mf4"], mapping=tmp_path / "map.yaml")
+    (tmp_path / "cut.mf4").write_bytes((tmp_path / "bench.mf4").read_bytes()[:900])
+    with pytest.raises(InputError, match=r"cut\.mf4"):
+        import_drive([tmp_path / "cut.mf4"], mapping=tmp_path / "map.yaml")
+
+
+def test_without_asammdf_its_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "asammdf", None)
+    (tmp_path / "bench.mf4").write_bytes(b"MDF     4.10    " + bytes(200))
+    (tmp_path / "map.yaml").write_text(yaml.safe_dump(MDF_MAP))
+    with pytest.raises(
+        InputError, match=r'bench\.mf4: an MDF file needs asammdf: pip install "suspension-twin\[mdf\]"'
+    ):
+        import_drive([tmp_path / "bench.mf4"], mapping=tmp_path / "map.yaml")
 
 
 def test_rtklib_tag(tmp_path: Path) -> None:
@@ -474,7 +593,7 @@ def test_files_and_columns_a_mapping_asks_for(tmp_path: Path) -> None:
     cases: list[tuple[dict[str, Any], dict[str, Any], str]] = [
         ({"specific_force": {"columns": ["ax", "ay", "up"]}}, {}, r"imu\.csv: column up: is not there"),
         ({"time": {"column": "stamp"}}, {}, r"imu\.csv: column stamp"),
-        ({"time": {"column": "ax", "base": "text"}}, {}, "no usable accelerometer"),
+        ({"time": {"column": "ax", "base": "text"}}, {}, r"imu\.csv: column ax: '.*' is no date and time"),
         ({"file": "other.csv"}, {}, r"other\.csv: is not there"),
         ({}, {"fix": {"importer": "rtklib", "file": "gnss.pos"}}, r"gnss\.pos: is not there"),
         ({}, {"fix": {"importer": "abacus", "file": "imu.csv"}}, "abacus"),

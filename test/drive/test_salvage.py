@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from suspension_twin.cli.main import main
 from suspension_twin.drive.cdr import Encoding
 from suspension_twin.drive.contents import Contents
 from suspension_twin.drive.read import read_drive
-from suspension_twin.drive.recording import read_whole
+from suspension_twin.drive.recording import read_recording, read_whole
 from suspension_twin.drive.salvage import SQLITE_MAGIC, salvage_mcap, salvage_ros1, salvage_sqlite
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
@@ -176,3 +177,35 @@ def test_cells_of_a_page_do_not_overlap(containers: dict[str, Path], tmp_path: P
     with suppress(InputError):
         salvage_sqlite(path, contents)
     assert taken < 3 * len(data)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_command_makes_a_cut_off_recording_readable(
+    kind: str, containers: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """All of its topics, as far as they are whole; the new one is read by rosbags without a word."""
+    data = containers[kind].read_bytes()
+    cut, out = tmp_path / "cut", tmp_path / "out"
+    cut.write_bytes(data[: int(0.9 * len(data))])
+    damaged = read_recording(cut)
+    assert main(["salvage", str(cut), "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith(f"Writes {out}") and "warning: cut" in said
+    whole = read_recording(out)
+    assert whole.warnings == [] and set(whole.topics) == set(damaged.topics)
+    for name, topic in damaged.topics.items():
+        assert f"{name}: {len(topic.data)} messages" in said
+        assert whole.topics[name].stamps == topic.stamps
+        if kind[0] != "r":
+            assert whole.topics[name].data == topic.data
+    first, again = read_drive(cut), read_drive(out)
+    np.testing.assert_array_equal(again.imu.specific_force, first.imu.specific_force)
+    np.testing.assert_array_equal(again.fix.latitude, first.fix.latitude)
+    assert main(["salvage", str(cut), "--out", str(out)]) == 2
+
+
+def test_nothing_to_salvage_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "bag.mcap").write_bytes(b"nothing of a bag")
+    assert main(["salvage", str(tmp_path / "bag.mcap"), "--out", str(tmp_path / "out")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert not (tmp_path / "out").exists()

@@ -24,7 +24,8 @@ from suspension_twin.road import (
     half_sine,
     write_road,
 )
-from suspension_twin.road.check import check_road, wheel_paths
+from suspension_twin.road.build import Centreline, road_over
+from suspension_twin.road.check import check_road, on_itself, wheel_paths
 from suspension_twin.road.plots import road_figure, save_road_picture
 from suspension_twin.road.roughness import iso8608_road
 
@@ -40,6 +41,42 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_road(replace(road, z=z), folder / "spiky.crg")
     (folder / "broken.crg").write_bytes((folder / "sound.crg").read_bytes()[:-999])
     return folder
+
+
+TURN = np.linspace(0.0, 2.0 * np.pi, 400)
+BACK = np.linspace(0.0, 1.0, 200)[:, None]
+#: Lines of roads, and whether one of 3 m and one of 8 m width lies on itself.
+LINES = {
+    "circle": (np.column_stack([30.0 * np.cos(TURN), 30.0 * np.sin(TURN)]), False, False),
+    "more than a lap": (np.column_stack([30.0 * np.cos(1.1 * TURN), 30.0 * np.sin(1.1 * TURN)]), True, True),
+    "eight": (np.column_stack([40.0 * np.sin(TURN + 1.0), 20.0 * np.sin(2.0 * TURN + 2.0)]), True, True),
+    "there and back beside": (
+        np.vstack([
+            BACK * [60.0, 0.0],
+            [60.0, 3.0] + 3.0 * np.column_stack([np.sin(0.5 * TURN), -np.cos(0.5 * TURN)]),
+            [60.0, 6.0] - BACK * [60.0, 0.0],
+        ]),
+        False,
+        True,
+    ),
+    "bends": (np.column_stack([np.linspace(0.0, 200.0, 400), 8.0 * np.sin(4.0 * TURN)]), False, False),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("wide", [False, True])
+@pytest.mark.parametrize("name", LINES)
+def test_a_road_that_lies_on_itself_is_wrong(name: str, wide: bool, tmp_path: Path) -> None:
+    points, *lies = LINES[name]
+    line = Centreline(points[:, 0], points[:, 1], 0.1)
+    half = 4.0 if wide else 1.5
+    road = road_over(line, np.zeros((line.x.size, 3)), np.array([-half, 0.0, half]), name)
+    places = on_itself(road)
+    assert (places is not None) is lies[wide]
+    said = [finding for finding in check_road(road).findings if "lies on itself" in finding.text]
+    assert [finding.fault for finding in said] == [True] * lies[wide]
+    if places is not None:
+        apart = np.subtract(*np.transpose(road.uv_to_xy(np.array(places), 0.0)))
+        assert np.hypot(*apart) < 2.0 * half + 1.0
 
 
 def test_check_ends_with_0_1_or_2(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -173,7 +173,7 @@ def bumps(tmp_path: Path) -> Path:
 
 def test_an_attached_surface_follows_the_road(bumps: Path) -> None:
     file = bumps / "map.xodr"
-    crg = 'mode="attached" orientation="same" sStart="15" sEnd="50" tOffset="0.5" zOffset="0.1" zScale="2"'
+    crg = 'mode="attached" orientation="same" sStart="15" sEnd="50" sOffset="12" tOffset="0.5" zOffset="0.1" zScale="2"'
     file.write_text(XODR.format(plan=ARC, crg=crg))
     out = bumps / "out.crg"
     assert main(["road", "profile", str(file), "--out", str(out)]) == 0
@@ -181,13 +181,98 @@ def test_an_attached_surface_follows_the_road(bumps: Path) -> None:
     # A place 20 m along the arc of 50 m radius, 1 m to the left of the line.
     angle, s, t = 0.4, 40.0, 1.0
     x, y = 30 + (50 - t) * np.sin(angle), 20 + 50 - (50 - t) * np.cos(angle)
-    wanted = 5 + 0.01 * s + 0.1 + np.tan(0.02) * t + 2 * (0.05 * np.sin(s - 15) + 0.01 * (t - 0.5))
+    wanted = 5 + 0.01 * s + 0.1 + np.tan(0.02) * t + 2 * (0.05 * np.sin(s - 12) + 0.01 * (t - 0.5))
     assert float(road.heights(x, y)) == pytest.approx(wanted, abs=2e-3)
     assert road.length == pytest.approx(35.0, abs=0.11)
     file.write_text(XODR.format(plan=ARC, crg=crg.replace("attached", "attached0")))
     assert float(read_opendrive(file).heights(x, y)) == pytest.approx(
         wanted - 5 - 0.01 * s - np.tan(0.02) * t, abs=2e-3
     )
+
+
+@pytest.mark.parametrize("start", [0.0, 15.0])
+@pytest.mark.parametrize("offset", [0.0, 10.0, -5.0])
+@pytest.mark.parametrize("mode", ["attached", "attached0", "genuine", "global"])
+def test_limits_and_offsets_of_a_surface(mode: str, offset: float, start: float, bumps: Path) -> None:
+    """The formulas of ASAM OpenDRIVE 1.9, 10.6.1, along a straight road that starts at (10, 20) and heads 0.3 rad."""
+    file = bumps / "map.xodr"
+    plan = '<geometry s="0" x="10" y="20" hdg="0.3" length="120"><line/></geometry>'
+    turned = 'hOffset="0.2"' if mode in ("genuine", "global") else ""
+    moved = f'sOffset="{offset}" tOffset="0.4"'
+    if mode == "global":
+        moved = f'xOffset="{15 + offset}" yOffset="21"'
+    crg = f'mode="{mode}" sStart="{start}" sEnd="30" {moved} {turned} zOffset="0.5" zScale="2"'
+    file.write_text(XODR.format(plan=plan, crg=crg))
+    road = read_opendrive(file)
+    crg_road = load_road(bumps / "bumps.crg")
+    for s, t in ((16.0, 0.3), (22.0, -0.7), (26.0, 1.1)):
+        x, y = 10 + s * np.cos(0.3) - t * np.sin(0.3), 20 + s * np.sin(0.3) + t * np.cos(0.3)
+        if mode.startswith("attached"):
+            z = crg_road.heights_uv(s - offset, t - 0.4)
+        else:
+            x0, y0 = 15 + offset, 21.0
+            heading = 0.2
+            if mode == "genuine":
+                x0 = 10 + offset * np.cos(0.3) - 0.4 * np.sin(0.3)
+                y0 = 20 + offset * np.sin(0.3) + 0.4 * np.cos(0.3)
+                heading = 0.3 + 0.2
+            cos, sin = np.cos(heading), np.sin(heading)
+            z = crg_road.heights(cos * (x - x0) + sin * (y - y0), cos * (y - y0) - sin * (x - x0))
+        wanted = 2 * float(z) + 0.5 + (mode == "attached") * (5 + 0.01 * s + np.tan(0.02) * t)
+        assert float(road.heights(x, y)) == pytest.approx(wanted, abs=1e-4)
+    inside = (road.x - 10) * np.cos(0.3) + (road.y - 20) * np.sin(0.3)
+    assert start - 1e-6 <= inside.min() and inside.max() <= 30 + 1e-6
+
+
+LATERAL = """
+<lateralProfile>{profile}</lateralProfile>
+<lanes><laneOffset s="0" a="{offset}" b="0" c="0" d="0"/><laneSection s="0">
+<left><lane id="1" level="{level}"><width sOffset="0" a="2" b="0" c="0" d="0"/>
+<height sOffset="0" inner="0" outer="0"/><height sOffset="10" inner="0.1" outer="0.2"/></lane></left>
+<center><lane id="0"/></center>
+<right><lane id="-1"><width sOffset="0" a="1" b="0.02" c="0" d="0"/></lane>
+<lane id="-2"><width sOffset="0" a="3" b="0" c="0" d="0"/><height sOffset="0" inner="0.12" outer="0.12"/></lane></right>
+</laneSection></lanes>"""
+
+
+@pytest.mark.parametrize("level", ["false", "true"])
+@pytest.mark.parametrize("offset", [0.0, 0.5])
+def test_an_attached_surface_lies_on_the_lateral_profile_and_the_lanes(
+    level: str, offset: float, bumps: Path
+) -> None:
+    file = bumps / "map.xodr"
+    plan = '<geometry s="0" x="0" y="0" hdg="0" length="120"><line/></geometry>'
+    shape = (
+        '<shape s="0" t="-4" a="-0.08" b="0.02" c="0" d="0"/><shape s="0" t="0" a="0" b="0" c="-0.01" d="0"/>'
+        '<shape s="40" t="-4" a="0.4" b="0" c="0" d="0"/>'
+    )
+    fall = (
+        '<crossfall side="both" s="0" a="0.03" b="0" c="0" d="0"/>'
+        '<crossfall side="left" s="20" a="0" b="0" c="0" d="0"/>'
+    )
+    text = XODR.replace(
+        '<lateralProfile><superelevation s="0" a="0.02" b="0" c="0" d="0"/></lateralProfile>', "{lateral}"
+    )
+    crg = 'mode="attached" sStart="0" sEnd="40"'
+    for profile in (shape, fall):
+        lateral = LATERAL.format(profile=profile, level=level, offset=offset)
+        file.write_text(text.format(plan=plan, crg=crg, lateral=lateral))
+        road = read_opendrive(file)
+        for s in (4.0, 18.0, 33.0):
+            for t in (-1.9, -1.2, -0.4, 0.3, 1.3, 2.0):
+                flat = min(t, offset) if level == "true" else t
+                if profile is shape:
+                    first = -0.08 + 0.02 * (flat + 4) if flat < 0 else -0.01 * flat**2
+                    height = first * (1 - s / 40) + 0.4 * s / 40
+                else:
+                    # The last entry of a side holds.
+                    height = -np.tan(0.0 if flat > 0 and s > 20 else 0.03) * abs(flat)
+                if s > 10 and offset < t <= offset + 2:
+                    height += 0.1 + 0.1 * (t - offset) / 2
+                if t < offset - 1 - 0.02 * s:
+                    height += 0.12
+                wanted = 5 + 0.01 * s + 0.05 * np.sin(s) + 0.01 * t + height
+                assert float(road.heights(s, t)) == pytest.approx(wanted, abs=2e-3), (s, t)
 
 
 def test_a_clothoid_and_a_cubic_lie_where_they_should(bumps: Path) -> None:
@@ -222,6 +307,18 @@ def test_a_clothoid_and_a_cubic_lie_where_they_should(bumps: Path) -> None:
             "poly3",
         ),
         (XODR.format(plan=ARC, crg='orientation="opposite"'), "opposite orientation"),
+        (XODR.format(plan=ARC, crg='mode="global" orientation="opposite"'), "opposite orientation"),
+        (
+            XODR.format(plan=ARC, crg='mode="global" sOffset="1"'),
+            "sOffset: is 1, has no meaning in mode global",
+        ),
+        (XODR.format(plan=ARC, crg='mode="attached" hOffset="1"'), "hOffset: is 1, has no meaning"),
+        (XODR.format(plan=ARC, crg='mode="genuine" sStart="90"'), "between sStart and sEnd"),
+        (XODR.format(plan="", crg=""), "no plan view"),
+        (
+            XODR.replace("<superelevation", "<crossSectionSurface/><superelevation").format(plan=ARC, crg=""),
+            "<crossSectionSurface> is not read",
+        ),
         (XODR.format(plan=ARC, crg='mode="wrong"'), "mode 'wrong'"),
         (XODR.format(plan=ARC, crg='sStart="a"'), "<CRG> sStart: 'a' is not a number"),
         (XODR.replace("bumps", "none").format(plan=ARC, crg=""), "none.crg"),

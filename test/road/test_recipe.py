@@ -4,14 +4,17 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from suspension_twin.cli.main import main
+from suspension_twin.pose.local_map import LocalMap
 from suspension_twin.road import half_sine, load_road, trapezoid
 from suspension_twin.road.roughness import CLASSES, iso8608_road, profile_roughness
+from suspension_twin.vehicle.twin import load_twin
 
 
 def test_features_lie_where_they_were_put(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -30,6 +33,36 @@ def test_features_lie_where_they_were_put(tmp_path: Path, capsys: pytest.Capture
     np.testing.assert_allclose(road.heights_uv(70.5, [-0.4, -0.7, -1.1]), [0, -0.05, 0], atol=1e-6)
 
 
+@pytest.mark.parametrize("place", [(47.4025, 19.284, 90.0), (-33.9, 151.2, 0.0), (0.0, -0.5, -135.0)])
+def test_a_bump_lies_on_the_map_where_it_was_measured(
+    place: tuple[float, float, float], tmp_path: Path, capsys: pytest.CaptureFixture[str], repository: Path
+) -> None:
+    latitude, longitude, heading = place
+    out = tmp_path / "bump.crg"
+    command = ["road", "make", "--bump", "0.9x0.05@20", "--length", "60", "--out", str(out)]
+    assert main([*command, "--at", ",".join(map(str, place))]) == 0
+    said = capsys.readouterr().out
+    twin = (repository / "bags" / "bump_15kmh" / "twin.yaml").read_text()
+    line = re.search(r"datum: \{.*\}", said)
+    assert line is not None
+    twin = re.sub(r"(?m)^datum:.*$", line[0], twin)
+    (tmp_path / "twin.yaml").write_text(re.sub(r"(?m)^road:.*$", "road: {file: bump.crg}", twin))
+    datum = load_twin(tmp_path / "twin.yaml").datum
+    assert datum is not None
+    road = load_road(out)
+    bump = np.array([v * 1.0 for v in road.uv_to_xy(20.45, 0.0)])
+    east, north = 20.45 * np.cos(np.radians(heading)), 20.45 * np.sin(np.radians(heading))
+    np.testing.assert_allclose(bump, [east, north], atol=1e-6)
+    metre = 180.0 / np.pi / 6.3781e6
+    where = LocalMap(datum).to_geodetic([*bump, 0.0])
+    assert where[0] == pytest.approx(latitude + north * metre, abs=0.2 * metre)
+    assert where[1] == pytest.approx(longitude + east * metre / np.cos(np.radians(latitude)), abs=0.2 * metre)
+    said_at = re.search(r"bump at u 20 m: (\S+), (\S+)", said)
+    assert said_at is not None
+    np.testing.assert_allclose([float(v) for v in said_at.groups()], where[:2], atol=0.6 * metre)
+    assert f"bearing of {(90.0 - heading) % 360.0:.1f} deg" in said
+
+
 def test_features_and_a_class_add_up(tmp_path: Path) -> None:
     made = ["road", "make", "--iso", "C", "--seed", "3", "--length", "60", "--out"]
     assert main([*made, str(tmp_path / "plain.crg")]) == 0
@@ -43,6 +76,9 @@ def test_features_and_a_class_add_up(tmp_path: Path) -> None:
     ("arguments", "words"),
     [
         ([], "give --iso, or one of --bump"),
+        (["--iso", "C", "--at", "91,19,0"], "--at: '91,19,0' is no LAT,LON,HEADING in degrees"),
+        (["--iso", "C", "--at", "47,19"], "--at: '47,19' is no LAT,LON,HEADING in degrees"),
+        (["--iso", "C", "--at", "47,east,nan"], "--at: '47,east,nan' is no LAT,LON,HEADING"),
         (["--bump", "0.9@40"], "--bump: needs LENGTHxHEIGHT@U, not '0.9@40'"),
         (["--bump", "0.9x0.05"], "--bump: is written"),
         (["--bump", "0.9xa@40"], "--bump: 'a' is not a number"),
@@ -79,6 +115,31 @@ def test_events_do_not_change_the_class(letter: str) -> None:
     for _, at in events:
         assert any(e.start - 0.3 <= 1000.0 + at <= e.start + 1.5 for e in found.events), at
     assert found.g0 == pytest.approx(profile_roughness(plain.z[:, 0], plain.u_step).g0, rel=0.25)
+
+
+@pytest.mark.parametrize("length", ["30", "200"])
+@pytest.mark.parametrize(
+    ("feature", "height"), [(("--bump", "1x0.1@20"), 0.1), (("--pothole", "0.8x0.05@12:left"), -0.05)]
+)
+def test_a_level_road_has_events(
+    feature: tuple[str, str], height: float, length: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Although it has no spectrum and so no class."""
+    road, record = tmp_path / "road.crg", tmp_path / "road.json"
+    assert main(["road", "make", *feature, "--length", length, "--out", str(road)]) == 0
+    made = capsys.readouterr().out
+    assert main(["road", "check", str(road), "--out", str(record)]) == 0
+    checked = capsys.readouterr().out
+    place = float(feature[1].partition("@")[2].partition(":")[0])
+    left, right = json.loads(record.read_text())["wheel_paths"]
+    (event,) = left["events"]
+    assert event["height"] == pytest.approx(height, abs=0.005) and event["start"] == pytest.approx(
+        place, abs=0.3
+    )
+    assert len(right["events"]) == ("left" not in feature[1])
+    for said in (made, checked):
+        assert f"{1e3 * abs(height):.0f} mm {'high' if height > 0 else 'deep'}" in said
+    assert left["iso8608"] is None and "left not defined" in made
 
 
 def test_check_tells_both_classes_and_the_index(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from suspension_twin.cli.common import Force, Outputs, ProgressLine, Seed, TwinFile, output, print_table
-from suspension_twin.cli.road import RoadOut
+from suspension_twin.cli.road import RoadOut, datum_line
 from suspension_twin.errors import InputError
 from suspension_twin.files import Json
 
@@ -76,7 +76,7 @@ def command(
     from suspension_twin.files import together
     from suspension_twin.road.crg import record_path
     from suspension_twin.road.recipe import parse_feature
-    from suspension_twin.vehicle.twin import load_twin, save_twin
+    from suspension_twin.vehicle.twin import Datum, load_twin, save_twin
 
     written = [out, record_path(out), *(p for p in (joint, picture) if p is not None)]
     if joint is not None and joint.resolve() == twin.resolve():
@@ -106,9 +106,8 @@ def command(
                 save_picture(estimate_figure(found), picture)
     _print_estimate(record)
     if loaded.datum is None:
-        d = record["datum"]
-        text = f"{{latitude: {d['latitude']}, longitude: {d['longitude']}, altitude: {d['altitude']}}}"
-        output().print(f"The twin file has no datum; this road needs datum: {text}", markup=False)
+        text = datum_line(Datum(**record["datum"]))
+        output().print(f"The twin file has no datum; this road needs {text}", markup=False)
     output().print(
         "What was the same in all of these drives (an error of the vehicle, of the sensor) is in the road.",
         markup=False,

@@ -39,7 +39,7 @@ IMPORTERS: Final = Registry[Importer](
     "importers",
     {
         name: f"{__name__}.{name}"
-        for name in ("sensor_logger", "phyphox", "matlab_mobile", "rtklib", "comma2k19")
+        for name in ("sensor_logger", "logger_csv", "vbo", "phyphox", "matlab_mobile", "rtklib", "comma2k19")
     },
     kind=Importer,
 )

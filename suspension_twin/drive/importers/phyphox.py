@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """phyphox: the zip or folder of its CSV export, in any of its delimiters and languages.
 
-Sources: the export code and file format pages of phyphox (RWTH Aachen). Columns carry their unit in
-brackets: ``Acceleration x (m/s^2)``, ``Gyroscope x (rad/s)``, ``Latitude (°)``, ``Velocity (m/s)``,
-``Direction (°)``; names follow the language of the phone, so that units and the order in the file
-decide where a name is not the English one. ``Linear Acceleration`` is without gravity and no use.
+Sources: the export code and file format pages of phyphox (RWTH Aachen), and the names and translations in its
+experiments (github.com/phyphox/phyphox-experiments, ``gps.phyphox``). Columns carry their unit in brackets:
+``Acceleration x (m/s^2)``, ``Gyroscope x (rad/s)``, ``Latitude (°)``, ``Altitude WGS84 (m)``, ``Speed (m/s)``. Names
+may follow the language of the phone; in one without words here units and the app's order decide. ``Linear
+Acceleration`` is without gravity and no use.
 Its time is that of the experiment, which stands still during a pause; ``meta/time.csv`` holds
 the time of the clock at each START and PAUSE. On iOS the app itself turns values to Android's axes.
 """
@@ -12,6 +13,7 @@ the time of the clock at each START and PAUSE. On iOS the app itself turns value
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -30,6 +32,25 @@ _LINEAR = re.compile(r"line[aá]|liné|lineer|ohne g|without g|線形|线性", r
 _ACCELERATION = re.compile(r"\bm\s*/\s*s(\^2|²)")
 _RATE = re.compile(r"\brad\s*/\s*s\b")
 _AXIS = re.compile(r"(?:^|[\s_])([xyz])\b", re.IGNORECASE)
+_DEGREES = re.compile(r"\(\s*(°|deg)")
+_METRES = re.compile(r"\(\s*m\s*\)")
+_SPEED = re.compile(r"\(\s*m\s*/\s*s\s*\)")
+#: Words of the app for the columns of a location, in its languages.
+_LATITUDE = re.compile(
+    r"latit|breite|breedte|šířka|szeroko|широт|πλάτος|緯度|纬度|enlem|vĩ độ|širina", re.IGNORECASE
+)
+_LONGITUDE = re.compile(
+    r"longit|länge|lengte|délka|długo|долгот|μήκος|経度|經度|经度|boylam|kinh độ|dužina|देशांतर", re.IGNORECASE
+)
+_ACCURACY = re.compile(
+    r"accura|genauigkeit|nauwkeurig|přesnost|dokładno|точност|ακρίβεια|精度|精準度|precis|précis|doğruluk|sai số"
+    r"|tačnost|სიზუსტე|यथार्थता",
+    re.IGNORECASE,
+)
+_VERTICAL = re.compile(
+    r"vertical|verticaal|vertikal|vertikáln|pionie|вертикал|κατακόρυφ|垂直|鉛直|dikey|cao|ვერტიკალ|उर्ध्वाधर",
+    re.IGNORECASE,
+)
 _TIME_HEAD = re.compile(rb"\(s\)")
 
 
@@ -92,25 +113,41 @@ def _take(table: DataTable, name: str, streams: Streams) -> bool:
     rate = _columns(table, _RATE)
     if rate and streams.rate is None:
         streams.rate = Series(t, table.vector(rate))
-    degrees = [i for i, column in enumerate(table.names) if re.search(r"\(\s*(°|deg)", column)]
-    if len(degrees) >= 2 and streams.fix is None:
-        _location(table, t, degrees, streams)
+    if streams.fix is None:
+        _location(table, t, streams)
     return linear
 
 
-def _location(table: DataTable, t: Floats, degrees: list[int], streams: Streams) -> None:
-    """Latitude and longitude come first, then height, velocity, direction and the two accuracies."""
-    metres = [i for i, column in enumerate(table.names) if re.search(r"\(\s*m\s*\)", column)]
-    speeds = [i for i, column in enumerate(table.names) if re.search(r"\(\s*m\s*/\s*s\s*\)", column)]
+def _location(table: DataTable, t: Floats, streams: Streams) -> None:
+    """Fixes and velocities of a table with latitude and longitude; of two altitudes the one over WGS 84."""
 
-    def metre(number: int) -> Floats:
-        return table.numbers(metres[number]) if len(metres) > number else np.full(t.size, np.nan)
+    def of(unit: re.Pattern[str], without: Sequence[int] = ()) -> list[int]:
+        return [i for i, name in enumerate(table.names) if unit.search(name) and i not in without]
 
-    latitude, longitude = table.numbers(degrees[0]), table.numbers(degrees[1])
-    streams.fix = phone_fix(t, latitude, longitude, metre(0), metre(1), metre(2))
-    if speeds and len(degrees) >= 3:
-        speed, direction = table.numbers(speeds[0]), table.numbers(degrees[2])
-        streams.add_course(t, speed, direction, "speed and direction")
+    def named(words: re.Pattern[str], among: list[int], otherwise: int) -> list[int]:
+        """The columns of a name first; where there is none, the one at this place."""
+        return [i for i in among if words.search(table.names[i])] or among[otherwise : otherwise + 1]
+
+    def numbers(columns: list[int]) -> Floats:
+        return table.numbers(columns[0]) if columns else np.full(t.size, np.nan)
+
+    accuracies = of(_ACCURACY)
+    degrees, metres, speeds = of(_DEGREES, accuracies), of(_METRES, accuracies), of(_SPEED)
+    if len(degrees) < 2:
+        return
+    latitude, longitude = named(_LATITUDE, degrees, 0), named(_LONGITUDE, degrees, 1)
+    altitude = named(re.compile("WGS", re.IGNORECASE), metres, 0)
+    if not accuracies:  # a language without words here
+        accuracies = [i for i in metres[1:] if i not in altitude]
+        vertical = accuracies[1:]
+    else:
+        vertical = [i for i in accuracies if _VERTICAL.search(table.names[i])]
+    horizontal = [i for i in accuracies if i not in vertical]
+    places = (numbers(columns) for columns in (latitude, longitude, altitude, horizontal, vertical))
+    streams.fix = phone_fix(t, *places)
+    course = [i for i in degrees if i not in (latitude[0], longitude[0])]
+    if speeds and course:
+        streams.add_course(t, numbers(speeds), numbers(course), "speed and direction")
 
 
 def _to_epoch(source: RecordedFiles, streams: Streams) -> None:

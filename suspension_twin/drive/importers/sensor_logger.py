@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sensor Logger (Android and iOS): its zip or folder of CSV files, or its JSON export.
+"""Sensor Logger (Android and iOS): its zip or folder of CSV files, one CSV of all sensors, or its JSON export.
 
 Sources: UNITS.md, COORDINATES.md, CROSSPLATFORM.md and README.md of tszheichoi/awesome-sensor-logger.
 ``time`` is ns since the epoch. Columns come in the order z, y, x: they are read by name. iOS has all
 three accelerometer axes (and gravity's) negated against Android, unless "Standardise Units & Frames"
 was on; the gyroscope is the same on both. ``TotalAcceleration`` (Android) includes gravity;
 ``Accelerometer`` does not, so that without the former the sum with ``Gravity`` is taken. Values of
-the JSON export are strings.
+the JSON export are strings. In one CSV of all sensors the columns are ``gyroscope_x``, ``location_speed``.
 """
 
 from __future__ import annotations
@@ -59,7 +59,12 @@ def recognises(source: RecordedFiles) -> bool:
         name = source.find(f"{sensor}.csv")
         if name is not None and b"seconds_elapsed" in source.head(name):
             return True
-    return any(_is_export(source, name) for name in source.names[:20])
+    return any(_is_export(source, name) or _is_combined(source, name) for name in source.names[:20])
+
+
+def _is_combined(source: RecordedFiles, name: str) -> bool:
+    head = source.head(name).split(b"\n", 1)[0].lower()
+    return b"seconds_elapsed" in head and b"gyroscope_x" in head
 
 
 def _is_export(source: RecordedFiles, name: str) -> bool:
@@ -102,6 +107,9 @@ def _tables(source: RecordedFiles) -> dict[str, DataTable]:
     export = next((name for name in source.names if _is_export(source, name)), None)
     if export is not None and source.find("Gyroscope.csv") is None:
         return _json_tables(source, export)
+    combined = next((name for name in source.names if _is_combined(source, name)), None)
+    if combined is not None:
+        return _combined_tables(source, combined)
     tables = {}
     for sensor in _SENSORS:
         name = source.find(f"{sensor}.csv")
@@ -112,6 +120,26 @@ def _tables(source: RecordedFiles) -> dict[str, DataTable]:
         except InputError as error:
             if "no rows" not in str(error) and "empty" not in str(error):
                 raise  # a sensor that was switched on and never reported has a header alone
+    return tables
+
+
+def _combined_tables(source: RecordedFiles, name: str) -> dict[str, DataTable]:
+    """The columns of each sensor in the rows where it has values."""
+    whole = read_table(source.read(name), source.label(name), header=True, delimiter=",")
+    columns = {key.casefold(): whole.numbers(i) for i, key in enumerate(whole.names)}
+    time = columns["time"] if "time" in columns else columns["seconds_elapsed"] * 1e9
+    if "time" not in columns:
+        whole.warnings.append(f"{whole.label}: has no column time: its times count from 1970")
+    tables = {}
+    for sensor in _SENSORS:
+        prefix = f"{sensor.casefold()}_"
+        own = {key[len(prefix) :]: values for key, values in columns.items() if key.startswith(prefix)}
+        if own:
+            values = np.column_stack([time, *own.values()])
+            some = np.isfinite(values[:, 1:]).any(axis=1)
+            tables[sensor] = DataTable(whole.label, ["time", *own], values=values[some])
+    if tables:
+        next(iter(tables.values())).warnings += whole.warnings
     return tables
 
 

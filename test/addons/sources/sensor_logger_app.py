@@ -4,7 +4,7 @@
 Written from PUSHING.md, UNITS.md and CROSSPLATFORM.md of tszheichoi/awesome-sensor-logger: messages
 ``{messageId, sessionId, deviceId, payload}`` once a batch period, readings ``{name, time, values}`` with UTC in ns. On
 iOS accelerometer and gravity are negated and the uncalibrated accelerometer is in g, unless "Standardise Units &
-Frames" is on; only Android has the total acceleration, only iOS the altitude above mean sea level.
+Frames" is on; only Android has the total acceleration, iOS and Android 14 the altitude above mean sea level.
 """
 
 from __future__ import annotations
@@ -31,7 +31,10 @@ GRAVITY = 9.80665
 
 @dataclass
 class SensorLoggerApp:
-    """The app on one phone. ``sensors`` are those switched on; ``shift`` s is what its clock is ahead of UTC."""
+    """The app on one phone. ``sensors`` are those switched on; ``shift`` s is what its clock is ahead of UTC.
+
+    ``sea_level``: whether its locations have the altitude above mean sea level; None: as iOS and old Androids do.
+    """
 
     drive: Drive
     platform: str = "android"
@@ -41,6 +44,7 @@ class SensorLoggerApp:
     device: str = "5f0c1a7e-9d7b-4f8e-8a63-0d5f3c1b2a90"
     session: str = "2c9e0b64-91a5-4a3d-8d3e-0e6a7f1c5b11"
     shift: float = 0.0
+    sea_level: bool | None = None
     seed: int = 0
     answers: list[int] = field(default_factory=list)
 
@@ -104,7 +108,7 @@ class SensorLoggerApp:
                 "speedAccuracy": -1.0,
                 "bearingAccuracy": -1.0,
             }
-            if ios:
+            if ios if self.sea_level is None else self.sea_level:
                 values["altitudeAboveMeanSeaLevel"] = values["altitude"] - 40.0
             found.append((t, values))
         return found

@@ -20,7 +20,7 @@ from suspension_twin.addons.sources import make_sources
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.addons.sources.common.runner import SourceLoop
 from suspension_twin.addons.sources.common.sensor_logger import parse_message
-from suspension_twin.drive.types import Drive
+from suspension_twin.drive.types import Drive, FixData, ImuData, VelocityData
 from suspension_twin.errors import InputError
 
 LOCAL = "sensorlogger://127.0.0.1:0"
@@ -48,6 +48,68 @@ def test_a_drive_arrives_as_it_was(bump: Drive, phone: dict) -> None:
     taken = listen(LOCAL, lambda sources, _: app.push(sources[0].server.url(), 20.0), whole(bump))
     same_drive(taken, bump)
     assert set(app.answers) == {200}
+
+
+def in_a_bend(mount: str, turn: float) -> Drive:
+    """24 s at 8 m/s, a bend after 10 s; ``mount``: the phone's axis that points up."""
+    t = 1.7e9 + 0.02 * np.arange(1200)
+    turning = np.where((t > t[0] + 10.0) & (t < t[0] + 16.0), turn, 0.0)
+    course = np.cumsum(turning) * 0.02
+    force = np.stack([0.0 * t, 8.0 * turning, 9.80665 + 0.0 * t], axis=1)
+    rate = np.stack([0.0 * t, 0.0 * t, turning], axis=1)
+    axis, sign = "xyz".index(mount[1]), 1.0 if mount[0] == "+" else -1.0
+    turned = np.roll(np.eye(3), axis - 2, axis=0)  # z to the axis
+    turned = turned if sign > 0 else turned @ np.diag([1.0, -1.0, -1.0])
+    at = np.arange(0, 1200, 50)
+    place = np.cumsum(np.stack([np.cos(course), np.sin(course)], axis=1) * 8.0 * 0.02, axis=0)[at]
+    fix = FixData(
+        t[at],
+        47.0 + np.degrees(place[:, 1] / 6.37e6),
+        11.0 + np.degrees(place[:, 0] / (6.37e6 * np.cos(np.radians(47.0)))),
+        np.full(at.size, 600.0),
+        np.zeros(at.size, dtype=np.int8),
+        np.full((at.size, 3), 3.0),
+    )
+    enu = 8.0 * np.stack([np.cos(course), np.sin(course), 0.0 * course], axis=1)[at]
+    imu = ImuData(t, force @ turned.T, rate @ turned.T, None, "")
+    return Drive("bend", imu, fix, VelocityData(t[at], enu))
+
+
+@pytest.mark.parametrize(
+    ("mount", "turn"), [("+x", 0.2), ("-x", -0.2), ("+y", -0.3), ("-y", 0.3), ("+z", -0.2), ("-z", 0.3)]
+)
+@pytest.mark.parametrize(
+    "phone", [{"sea_level": True}, {"platform": "ios"}, {"platform": "ios", "standardise": True}], ids=str
+)
+def test_the_first_bend_shows_where_up_is(phone: dict, mount: str, turn: float) -> None:
+    drive = in_a_bend(mount, turn)
+    messages = SensorLoggerApp(drive, sensors=IPHONE, **phone).messages()
+
+    async def play(sources, taken) -> None:
+        start = taken.hub.now()
+        for due, message in messages:
+            sources[0].phones.feed(json.dumps(message), start + due + 0.01)
+            sources[0].phones.tick(start + due + 0.01)
+            taken.take()
+
+    taken = listen(LOCAL, play, lambda taken: taken.count("imu") == len(drive.imu))
+    after = taken.imu.t > drive.imu.t[0] + 18.0
+    np.testing.assert_allclose(taken.imu.specific_force[after], drive.imu.specific_force[after], atol=1e-6)
+    if phone == {"sea_level": True} and mount in ("+x", "-x", "+y", "+z"):  # nor before it
+        np.testing.assert_allclose(taken.imu.specific_force, drive.imu.specific_force, atol=1e-6)
+
+
+def test_the_accuracy_of_a_sensor_comes_from_android() -> None:
+    """Even of one that hangs upside down; on no platform else do sensors give it."""
+    drive = in_a_bend("-y", 0.0)
+
+    async def play(sources, taken) -> None:
+        for _, message in SensorLoggerApp(drive, sensors=IPHONE, sea_level=True).messages()[:20]:
+            message["payload"] = [r | {"accuracy": 3} for r in message["payload"]]
+            sources[0].phones.feed(json.dumps(message), taken.hub.now())
+
+    taken = listen(LOCAL, play, lambda taken: taken.count("imu") > 150)
+    np.testing.assert_allclose(taken.imu.specific_force[:, 1], -9.80665, atol=1e-6)
 
 
 def test_by_websocket(bump: Drive) -> None:

@@ -43,10 +43,11 @@ from suspension_twin.addons.roads.drives.vehicle import (
     vehicle_estimate,
     vehicle_step,
 )
-from suspension_twin.addons.roads.recording import Observation, line_of
+from suspension_twin.addons.roads.recording import MOVING, Observation, line_of
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.road.build import Centreline, road_over
+from suspension_twin.road.check import on_itself
 from suspension_twin.road.recipe import Feature
 from suspension_twin.road.road import Road
 from suspension_twin.vehicle.twin import Twin
@@ -423,6 +424,12 @@ def _problem(prepared: Sequence[Observation], twin: Twin, left_out: list[str] | 
     line = line_of([p.trajectory for p in prepared], STEP, MARGIN)
     track = 0.5 * (twin.vehicle.front_track + twin.vehicle.rear_track)
     level = WheelProfiles(line, track, np.zeros((2, 1, line.x.size))).road()
+    beyond = round(MARGIN / STEP)
+    if (places := on_itself(level.part(beyond, line.x.size - beyond))) is not None:
+        text = _crossing(prepared, *(u - MARGIN for u in places))
+        if left_out is None:
+            raise InputError(text)
+        left_out.append(text)
     passes, error = [], None
     for one in prepared:
         try:
@@ -436,6 +443,21 @@ def _problem(prepared: Sequence[Observation], twin: Twin, left_out: list[str] | 
         raise error
     speed = float(np.median([p.speed for p in passes]))
     return _Problem(tuple(passes), twin, line, track, np.zeros(1), speed)
+
+
+def _crossing(prepared: Sequence[Observation], first: float, second: float) -> str:
+    """Sentence on the drive that gives the line and comes after ``second`` m to where it was after ``first`` m."""
+    moments = []
+    for one in prepared:
+        path = one.trajectory
+        ways = np.hypot(np.diff(path.x), np.diff(path.y)) * (path.speed[1:] > MOVING)
+        moments.append((ways.sum(), one.name, path.t[1:] - path.t[0], np.cumsum(ways)))
+    _, name, t, way = max(moments, key=lambda m: m[0])
+    a, b = (float(np.interp(place, way, t)) for place in (first, second))
+    return (
+        f"{name}: comes after {b:.0f} s ({second:.0f} m) to where it was after {a:.0f} s ({first:.0f} m), and a road "
+        "has one height at a place: take parts of it, DRIVE@START..END in s"
+    )
 
 
 def _iterate(problem: _Problem, state: _State, iteration: int, known: Sequence[KnownHeights] = ()) -> _Solved:

@@ -151,12 +151,16 @@ class _Nearest:
 
 @dataclass(frozen=True, eq=False)
 class Gathered:
-    """``points`` with z m above ``level`` m, number of points ``read``, and a ``note`` where the unit is in doubt."""
+    """``points`` with z m above ``level`` m, number of points ``read``, and a ``note`` where the unit is in doubt.
+
+    ``resolution``: steps in m of the horizontal coordinates of each cloud along its axes, the larger of the two.
+    """
 
     points: Points
     level: float
     read: int
     note: str | None
+    resolution: dict[str, float]
 
 
 def gather(
@@ -176,6 +180,7 @@ def gather(
     parts: list[tuple[NDArray[np.float32], ...]] = []
     samples: list[Floats] = []
     level, read = np.nan, 0
+    resolution: dict[str, float] = {}
     total = sum(c.count or 0 for c, _ in clouds) if all(c.count for c, _ in clouds) else None
     for cloud, georeference in clouds:
         box = georeference.box(line.x, line.y, reach)
@@ -185,8 +190,11 @@ def gather(
             share = None if total is None else min(1.0, read / total)
             progress(f"reading {cloud.path.name}: {read / 1e6:.1f} million points", share)
             samples.append(piece[::stride])
-            points = georeference.to_map(georeference.within(piece, box))
+            own = georeference.within(piece, box)
+            points = georeference.to_map(own)
             at = nearest(points[:, 0], points[:, 1])
+            name, near = cloud.path.name, own[at >= 0]
+            resolution[name] = min(resolution.get(name, np.inf), _resolution(near, georeference))
             x, y, z = np.ascontiguousarray(points[at >= 0].T)
             u, v = np.empty((2, z.size))
             xy_to_uv(flat.line, at[at >= 0], x, y, u, v)
@@ -209,7 +217,23 @@ def gather(
     if sample.fits_in_feet():
         note = f"{clouds[0][0].path.name} is taken for metres, but covers the path in feet too: --unit ft if that is "
         note += "its unit"
-    return Gathered(Points(along[order], across[order], high[order]), level, read, note)
+    points_along = Points(along[order], across[order], high[order])
+    return Gathered(points_along, level, read, note, resolution)
+
+
+def _resolution(points: Floats, georeference: Georeference) -> float:
+    """Step in m of the horizontal coordinates of points (n, 3), the larger of both axes.
+
+    The median distance of neighbouring coordinates: where they are not rounded it is far below that of the points.
+    """
+    found = []
+    for column, _ in georeference.axes[:2]:
+        steps = np.diff(np.unique(points[:, column]))
+        if steps.size:
+            ends = np.repeat(points[:1], 2, axis=0)
+            ends[1, column] += np.median(steps)
+            found.append(float(np.hypot(*np.diff(georeference.to_map(ends), axis=0)[0, :2])))
+    return max(found, default=np.inf)
 
 
 def _check_ends(covered: NDArray[np.bool_], line: Centreline, path_name: str) -> None:

@@ -174,7 +174,10 @@ def road_from_scan(
     points, level = gathered.points, gathered.level
     progress("looking for the ground", None)
     cloud_name = clouds[0][0].path.name
-    cells = ground_cells(points, line.length, half + _BESIDE, cloud_name)
+    try:
+        cells = ground_cells(points, line.length, half + _BESIDE, cloud_name)
+    except InputError as error:
+        raise InputError("; ".join([str(error), *_coarse(gathered.resolution, *_STEPS[-1])])) from None
     ground = ground_points(points, cells)
     steps = chosen.steps or _steps_for(ground.u.size / (line.length * 2.0 * (half + _BESIDE)))
     line = Centreline(line.x, line.y, steps[0])
@@ -217,9 +220,20 @@ def road_from_scan(
         "noise": float(np.sqrt(np.mean(surface.noise[surface.count > 0] ** 2))),
         "sigma_median": float(np.median(surface.sigma[~gone])),
     }
-    if gathered.note is not None:
-        facts["note"] = gathered.note
+    notes = [*([gathered.note] if gathered.note else []), *_coarse(gathered.resolution, grid.du, grid.dv)]
+    if notes:
+        facts["note"] = "; ".join(notes)
     return ScannedRoad(replace(road, name=name), edges, gaussian, cell_means, surface, status, facts)
+
+
+def _coarse(resolution: dict[str, float], du: float, dv: float) -> list[str]:
+    """A sentence on each cloud whose coordinates are rounded more coarsely than the nodes lie apart."""
+    return [
+        f"{file}: coordinates in steps of {size:.2g} m, coarser than the nodes (every {du:g} by {dv:.3g} m): a program "
+        "rounded them, save them in double precision or from an origin nearby"
+        for file, size in resolution.items()
+        if min(du, dv) < size < np.inf
+    ]
 
 
 def _check(s: ScanSettings) -> None:

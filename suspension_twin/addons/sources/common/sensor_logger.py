@@ -3,8 +3,8 @@
 
 Source: PUSHING.md, UNITS.md and CROSSPLATFORM.md of tszheichoi/awesome-sensor-logger. A message is the JSON object
 ``{messageId, sessionId, deviceId, payload: [{name, time, values}]}``; ``time`` is UTC in ns, names are those of the
-recorded sensors in lower case. Nothing says which platform it is, and iOS has the axes of accelerometer and gravity
-negated unless "Standardise Units & Frames" is on; :class:`_Axes` finds out.
+recorded sensors in lower case. No field names the platform, and iOS has the axes of accelerometer and gravity negated
+unless "Standardise Units & Frames" is on, those of the gyroscope not; :class:`_Axes` finds out.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -47,7 +48,6 @@ _LOCATION: Final = (
     "speed",
     "bearing",
 )
-_IOS_FIELD: Final = "altitudeAboveMeanSeaLevel"
 
 _MOST_READINGS = 50_000
 #: No sensor of a phone measures that much, in any unit.
@@ -60,6 +60,9 @@ _FIRST_OVERTAKEN = 4
 _TICK = 0.1  # s between looks for messages that have not come
 #: A message this much older than the newest is the first of a new count.
 _RECOUNT = 1000
+#: A course is compared with the gyroscope over this time in s, longer than a receiver's lag, and from this speed in m/s
+#: on, at which a course is good to some degrees; a turn this large in rad decides where the two correlate this well.
+_COURSE_TIME, _COURSE_SPEED, _COURSE_TURN, _COURSE_AGREES = 3.0, 3.0, 0.5, 0.7
 
 
 def axes_of(address: Address) -> str:
@@ -72,13 +75,16 @@ def axes_of(address: Address) -> str:
 
 @dataclass
 class LoggerMessage:
-    """One message: rows by sensor, (n, 4) stamp in s and x, y, z, for ``location`` (n, 8); ``refused`` readings."""
+    """One message: rows by sensor, (n, 4) stamp in s and x, y, z, for ``location`` (n, 8); ``refused`` readings.
+
+    ``android``: a sensor gives its accuracy, which only Android's do.
+    """
 
     number: int
     session: str
     device: str
     rows: dict[str, Floats]
-    ios: bool = False
+    android: bool = False
     refused: int = 0
     arrival: float = field(default=0.0, compare=False)
 
@@ -103,10 +109,9 @@ def parse_message(body: bytes | str) -> LoggerMessage:
                 row = (number(values["x"]), number(values["y"]), number(values["z"]))
                 if max(map(abs, row)) > _BEYOND:
                     raise ValueError
+                message.android |= "accuracy" in reading
             elif name == "location":
-                values = reading["values"]
-                row = _place(values)
-                message.ios |= _IOS_FIELD in values
+                row = _place(reading["values"])
             else:
                 continue
             rows.setdefault(name, []).append((_stamp(reading["time"]), *row))
@@ -142,6 +147,45 @@ def _place(values: Any) -> tuple[float, ...]:
     return tuple(found)
 
 
+class _Turns:
+    """Turning about the measured vertical beside that of the course, which tells whether that vertical points up.
+
+    Neither gravity beside accelerations nor gravity beside angular rates does: both laws hold for negated forces too.
+    """
+
+    def __init__(self) -> None:
+        self._turned, self._last = 0.0, math.nan  # rad, s
+        self._course: tuple[float, float, float] | None = (
+            None  # s, rad counterclockwise, rad turned until then
+        )
+        self._sums = np.zeros(3)  # rad²: both together, the course's, the gyroscope's
+
+    def add(self, force: Floats, rows: Mapping[str, Floats]) -> float:
+        """Sign of the force (3,) by the rates and places of a message; 0 as long as it is open."""
+        size = float(np.linalg.norm(force))
+        if size == 0.0:
+            return 0.0
+        rates, places = rows.get("gyroscope", rows.get("gyroscopeuncalibrated")), rows.get("location")
+        if rates is not None:
+            rates = rates[np.argsort(rates[:, 0])]
+            steps = np.diff(rates[:, 0], prepend=self._last if math.isfinite(self._last) else rates[0, 0])
+            self._turned += float(np.clip(steps, 0.0, 0.1) @ (rates[:, 1:] @ force)) / size
+            self._last = float(rates[-1, 0])
+        for t, *_, speed, bearing in () if places is None else places[np.argsort(places[:, 0])]:
+            if not (speed > _COURSE_SPEED and 0.0 <= bearing <= 360.0):
+                self._course = None
+            elif self._course is None:
+                self._course = t, -math.radians(bearing), self._turned
+            elif t - self._course[0] >= _COURSE_TIME:
+                course = math.remainder(-math.radians(bearing) - self._course[1], 2.0 * math.pi)
+                turned = self._turned - self._course[2]
+                self._sums += course * turned, course**2, turned**2
+                self._course = t, -math.radians(bearing), self._turned
+        both, course, turned = self._sums
+        sure = course > _COURSE_TURN**2 and abs(both) > _COURSE_AGREES * math.sqrt(course * turned)
+        return math.copysign(1.0, both) if sure else 0.0
+
+
 @dataclass
 class _Axes:
     """Finds the sign of accelerometer and gravity: ``sign`` is None until it is known."""
@@ -154,41 +198,47 @@ class _Axes:
     in_g: bool = False
 
     def __post_init__(self) -> None:
-        self._certain = self._ios = False
-        self._standard: bool | None = None
+        self._certain = False
+        self._turns = _Turns()
         self._force = np.zeros(3)
 
     def look(self, message: LoggerMessage) -> None:
         """Learn from a message."""
-        self.seen |= message.rows.keys()
+        rows = message.rows
+        self.seen |= rows.keys()
         if self._certain and not self.in_g:
             return
         if self.wanted != "auto":
             self._decide(IOS_FORCE_SIGN if self.wanted == "ios" else 1.0, "", certain=True)
-        raw = message.rows.get("accelerometeruncalibrated")
+        raw = rows.get("accelerometeruncalibrated")
         if raw is not None:
             self.in_g = bool(np.median(np.linalg.norm(raw[:, 1:], axis=1)) < 0.3 * STANDARD_GRAVITY)
-            self._standard = not self.in_g
-        self._ios |= message.ios or self.in_g
         for sensor in ("gravity", "accelerometeruncalibrated"):
-            if sensor in message.rows:
-                self._force = message.rows[sensor][:, 1:].mean(axis=0)
+            if sensor in rows:
+                self._force = rows[sensor][:, 1:].mean(axis=0)
                 break
         if self._certain:
             return
-        if "totalacceleration" in self.seen:
+        if message.android or "totalacceleration" in self.seen or (raw is not None and not self.in_g):
             self._decide(1.0, "", certain=True)
-        elif self._ios:
-            standard = self._standard if self._standard is not None else self._upright()
-            why = "'Standardise Units & Frames' is on" if standard else "its accelerometer axes are negated"
-            self._decide(1.0 if standard else IOS_FORCE_SIGN, f"an iPhone, {why}", certain=True)
+        elif self.in_g:
+            self._decide(IOS_FORCE_SIGN, "an iPhone, its accelerometer axes are negated", certain=True)
+        elif turned := self._turns.add(self._force, rows):
+            negated = "not " if turned > 0.0 else ""
+            why = f"its accelerometer axes are {negated}negated: it turns with its course"
+            self._decide(turned, why, certain=True)
 
     def give_up(self) -> None:
         """Nothing has told the platform within the time: a phone is not mounted upside down."""
         if self.sign is None and self._force.any():
-            upside_down = self._upright() is False
-            why = "gravity lies as iOS has it: taken as an iPhone (?axes=android if it is none)"
-            self._decide(IOS_FORCE_SIGN if upside_down else 1.0, why if upside_down else "", certain=False)
+            upright = self._upright()
+            sign, why = 1.0, ""
+            if upright is None:
+                why = "lies on its side and is taken for no iPhone until it turns (?axes=ios if it is one)"
+            elif not upright:
+                sign = IOS_FORCE_SIGN
+                why = "gravity lies as iOS has it: taken as an iPhone (?axes=android if it is none)"
+            self._decide(sign, why, certain=False)
 
     def _upright(self) -> bool | None:
         """Whether the axis along gravity points up; None for a phone on its side, which may point either way."""

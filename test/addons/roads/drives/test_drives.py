@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from suspension_twin.errors import InputError
 from suspension_twin.inference.simulated import simulate_drive
 from suspension_twin.inference.synthetic import SensorErrors, synthetic_drive
 from suspension_twin.road import Road, add_bump, half_sine, load_road
+from suspension_twin.road.build import Centreline, road_over
 from suspension_twin.road.roughness import iso8608_road
 from suspension_twin.vehicle.twin import Twin, load_twin
 
@@ -177,6 +179,31 @@ def test_drives_that_do_not_fit_are_named(change: str, words: str, twin: Twin, t
     with pytest.raises(InputError, match=words) as caught:
         road_from_drives([first, other], twin, RoadEstimateSettings(iterations=1))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("laps", [0.95, 1.3])
+@pytest.mark.parametrize("crosses", [False, True])
+def test_a_drive_that_comes_back_to_its_own_way_is_refused(crosses: bool, laps: float, twin: Twin) -> None:
+    """A circle of less than a lap is a road; more of it, or an eight, lies on itself."""
+    a = np.linspace(0.4, 0.4 + laps * 2.0 * np.pi, 800)
+    x, y = (22.0 * np.sin(a), 11.0 * np.sin(2.0 * a)) if crosses else (20.0 * np.cos(a), 20.0 * np.sin(a))
+    line = Centreline(x, y, 0.05)
+    road = road_over(line, np.zeros((line.x.size, 2)), np.array([-3.0, 3.0]), "loop")
+    end = 4.0 + (line.length - 15.0) / 5.0
+    knots = ((0.0, 0.0), (2.0, 0.0), (4.0, 5.0), (end, 5.0), (end + 2.0, 0.0), (end + 3.0, 0.0))
+    drive = synthetic_drive(twin.with_changes({"road": None}), road, knots, u=2.0, seed=1, name="loop")
+    if not crosses and laps < 1.0:
+        assert road_from_drives([drive], twin, RoadEstimateSettings(1, 1)).profiles.heights.size
+        return
+    with pytest.raises(
+        InputError, match=r"loop: comes after (\d+) s \(\d+ m\) to where it was after (\d+) s"
+    ) as caught:
+        road_from_drives([drive], twin, RoadEstimateSettings(1, 1))
+    later, earlier = (int(s) for s in re.findall(r"after (\d+) s", str(caught.value)))
+    places = [[np.interp(drive.fix.t[0] + s, drive.fix.t, c) for c in (drive.fix.latitude, drive.fix.longitude)]
+              for s in (later, earlier)]  # fmt: skip
+    apart = np.subtract(*places) * 6.37e6 * np.radians(1.0) * [1.0, np.cos(np.radians(drive.fix.latitude[0]))]
+    assert np.hypot(*apart) < 5.0 * 1.5 + 1.5
 
 
 def test_bad_arguments_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

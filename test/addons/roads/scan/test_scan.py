@@ -194,6 +194,33 @@ def test_every_format_gives_the_same_points(
     assert cloud.count in (None, 500)
 
 
+@pytest.mark.parametrize(
+    ("form", "origin", "axes", "coarse"),
+    [
+        ("<f4", (691000.0, 5334000.0), "xyz", True),
+        ("<f8", (691000.0, 5334000.0), "xyz", False),
+        ("<f4", (20.0, 30.0), "yxz", False),
+        ("<f4", (1000.0, 2_000_000.0), "yxz", True),
+    ],
+)
+def test_coordinates_that_are_coarser_than_the_nodes_are_noted(
+    form: str, origin: tuple[float, float], axes: str, coarse: bool, truth: Road, tmp_path: Path
+) -> None:
+    """Single precision has steps of 0.5 m at the northing of a UTM zone."""
+    own = sampled(truth, 1000.0, 0.004) + np.array([*origin, 0.0])
+    path = tmp_path / "a.ply"
+    save_ply(False)(own[:, ["xyz".index(axis) for axis in axes]].astype(form), path)
+    georeference = Georeference(parse_axes(axes), move=(-origin[0], -origin[1]))
+    try:
+        settings = ScanSettings(width=3.0)
+        said = road_from_scan([(open_cloud(path), georeference)], STRAIGHT, "line", settings).facts.get(
+            "note", ""
+        )
+    except InputError as error:  # whose reason it may be
+        said = str(error)
+    assert ("a.ply: coordinates in steps of" in said) is coarse
+
+
 @pytest.mark.parametrize("crs", ["EPSG:32634", "EPSG:2263", "EPSG:23700", "EPSG:4326"])
 def test_a_crs_comes_to_map_by_the_datum(crs: str, points: Floats, tmp_path: Path) -> None:
     import pyproj
