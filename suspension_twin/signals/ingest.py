@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -31,6 +31,7 @@ from suspension_twin.signals.imu import (
     is_still,
     standstill_filter_step,
 )
+from suspension_twin.signals.mounting_change import FILLED, QUIET, WINDOW, Windows, mounting_change
 from suspension_twin.vehicle.twin import Place
 
 __all__ = [
@@ -113,6 +114,10 @@ def ingest_step(
 
 #: No sensor of a vehicle sends this much, in whatever unit.
 ABSURD = 1.0e5
+#: s of samples between two looks at their units, axes and mounting, and windows that a turn of the sensor is seen in.
+_LOOK, _WINDOWS = 2.0, 120
+#: s that a velocity counts, and by which two are apart whose change does.
+_FRESH, _APART = 3.0, 0.5
 #: Of a row of ``ingest_step``: specific force, acceleration and raw specific force.
 _FORCES = [0, 1, 2, 6, 7, 8, 9, 10, 11]
 Vector = tuple[float, float, float]
@@ -189,6 +194,12 @@ class ImuIngest:
         self._pending: list[tuple[float, ...]] = []
         self._window: list[tuple[float, ...]] = []
         self._unit_mismatches = 0
+        self._begin = math.nan
+        # stamp, mean force and share of quiet samples of windows, and the one under way
+        self._gravity: deque[tuple[float, ...]] = deque(maxlen=_WINDOWS)
+        self._under_way: list[tuple[float, ...]] = []
+        self._velocity = (-math.inf, 0.0, 0.0)
+        self._quiet = False
         self._reading = ImuReading(self.settings, self.place, self.settings.latitude)
         self._up_bias = np.zeros(3)
         self._up = np.array([0.0, 0.0, 1.0])
@@ -243,9 +254,20 @@ class ImuIngest:
             self._design(rate_hz)
         out = self._advance(t, sample, stamp is Stamp.GAP)
         self._window.append(sample)
-        if len(self._window) >= 2.0 * rate_hz:
+        self._under_way.append((t, *sample[:3], self._quiet and t - self._velocity[0] < _FRESH))
+        if t - self._under_way[0][0] >= WINDOW:
+            self._end_gravity()
+        if len(self._window) >= _LOOK * rate_hz:
             self._look_at_window()
         return out
+
+    def heed_velocity(self, t: float, east: float, north: float) -> None:
+        """One velocity of the receiver at ``t`` s in m/s: where the vehicle brakes or turns, gravity is not felt alone."""
+        before, x, y = self._velocity
+        if not t - before >= _APART:
+            return
+        self._quiet = math.hypot(east - x, north - y) < QUIET * (t - before) < QUIET * _FRESH
+        self._velocity = t, east, north
 
     def _is_clipped(self, sample: tuple[float, ...]) -> bool:
         largest = max(abs(sample[0]), abs(sample[1]), abs(sample[2])) * self._reading.scale
@@ -328,6 +350,7 @@ class ImuIngest:
     def _start(self, rows: Floats) -> None:
         """The rate is known: look at the first samples, then run."""
         assert self._clock.rate is not None
+        self._begin = float(rows[0, 0])
         self._design(self._clock.rate)
         self._set_units(recognise_units(rows[:, 1:4]), rows[:, 1:4])
         mean = self._turn[:3] @ rows[:, 1:4].mean(axis=0)
@@ -366,6 +389,7 @@ class ImuIngest:
         if turn is None:
             return False
         self._update_turn()
+        self._gravity.clear()
         self._up[:] = turn @ self._up
         self._up_bias[:] = 0.0
         self._rest_count = 0.0
@@ -421,3 +445,30 @@ class ImuIngest:
             self._reading.bias[:] = self._up_bias[:] = 0.0
             self._rest_count = 0.0
             self._unit_mismatches = 0
+            self._gravity.clear()
+
+    def _end_gravity(self) -> None:
+        """A window is full: has the sensor turned in its holder? Its axes are turned back."""
+        rows = np.array(self._under_way)
+        self._under_way.clear()
+        quiet = rows[:, 4] > 0
+        felt = rows[quiet] if quiet.mean() >= FILLED else rows
+        self._gravity.append(tuple(felt.mean(axis=0).tolist()))
+        if self._reading.removed:
+            return
+        windows = np.array(self._gravity)
+        change = None
+        for blind, chosen in ((False, windows[windows[:, 4] == 1.0]), (True, windows)):
+            change = change or mounting_change(Windows(chosen[:, 0], chosen[:, 1:4], blind=blind))
+        if change is None:
+            return
+        self._note("turned", change.finding(0.5 * (change.last + change.first), self._begin))
+        self._gravity.clear()
+        if change.slow:
+            return
+        self._reading.mounting = self._reading.mounting @ change.turn
+        self._update_turn()
+        self._reading.bias[:] = self._up_bias[:] = 0.0
+        self._rest_count = 0.0
+        up = self._turn[:3] @ felt[:, 1:4].mean(axis=0)
+        self._up[:] = up / np.linalg.norm(up)
