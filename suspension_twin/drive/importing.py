@@ -14,6 +14,7 @@ from suspension_twin.drive.read import Topics, read_drive
 from suspension_twin.drive.recording import is_recording
 from suspension_twin.drive.streams import assemble, merge, velocities_from_fixes
 from suspension_twin.drive.types import Drive
+from suspension_twin.drive.units import imu_in_si
 from suspension_twin.errors import InputError
 from suspension_twin.files import reading
 
@@ -115,6 +116,8 @@ def _bag(path: str | Path, topics: Topics, lag: float = 0.0) -> Imported:
         drive = replace(drive, velocity=velocities_from_fixes(drive.fix))
         if len(drive.velocity):
             notes.append("velocity: none recorded, derived from the positions")
+    imu, doubts = imu_in_si(drive.imu, drive.velocity, None, notes)
+    drive = replace(drive, imu=imu, warnings=(*drive.warnings, *doubts))
     return Imported(drive, "bag", tuple(notes))
 
 

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.checks import clean_drive, measured
 from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, VelocityData
+from suspension_twin.drive.units import imu_in_si
 from suspension_twin.errors import InputError
-from suspension_twin.units import STANDARD_GRAVITY
 
 __all__ = [
     "Series",
@@ -35,15 +35,10 @@ __all__ = [
 
 Received = TypeVar("Received", FixData, VelocityData)
 
-#: Median of |specific force| by which its unit is recognised: a sensor at rest reads 1 g.
-_IN_G: Final = (0.5, 2.0)
-_IN_SI: Final = (5.0, 20.0)
 #: No drive is that long: a stamp further from the others is damage.
 _LONGEST: Final = 30 * 86_400.0  # s
 #: Below this speed a receiver's bearing means nothing.
 _STANDING: Final = 0.3  # m/s
-#: Angular rates beyond the range of any phone's gyroscope: 2300 degrees a second.
-_FASTEST: Final = 40.0  # rad/s
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,10 +104,6 @@ def assemble(streams: Streams, name: str, source: str) -> tuple[Drive, list[str]
         raise InputError(source, "no gyroscope data: record it together with the accelerometer")
     force = _in_order(streams.force, "accelerometer", source, warnings)
     rate = _in_order(streams.rate, "gyroscope", source, warnings)
-    force = _in_si(force, notes, warnings)
-    fastest = float(np.abs(rate.values).max())
-    if fastest > _FASTEST:
-        warnings.append(f"angular rates up to {fastest:.0f} rad/s: are they in deg/s?")
     if not np.array_equal(force.t, rate.t):
         force, rate = _on_common_stamps(force, rate, source, notes, warnings)
     velocity = streams.velocity
@@ -120,9 +111,12 @@ def assemble(streams: Streams, name: str, source: str) -> tuple[Drive, list[str]
         velocity = velocities_from_fixes(streams.fix)
         if len(velocity):
             notes.append("velocity: none recorded, derived from the positions")
+    imu = ImuData(force.t, force.values, rate.values, None, force.frame)
+    imu, doubts = imu_in_si(imu, velocity, force.unit, notes)
+    warnings += doubts
     drive = Drive(
         name=name,
-        imu=ImuData(force.t, force.values, rate.values, None, force.frame),
+        imu=imu,
         fix=_in_time_order(streams.fix or FixData.empty(), "fixes", warnings),
         velocity=_in_time_order(velocity or VelocityData.empty(), "velocities", warnings),
         heading=streams.heading,
@@ -171,24 +165,6 @@ def _timed(t: Floats, samples: str, warnings: list[str]) -> NDArray[np.bool_]:
     if not good.all():
         warnings.append(f"{int((~good).sum())} of {t.size} {samples} have no usable stamp: left out")
     return good
-
-
-def _in_si(force: Series, notes: list[str], warnings: list[str]) -> Series:
-    """Specific force in m/s²; the unit given, or the one its magnitude suggests."""
-    size = float(np.median(np.linalg.norm(force.values, axis=1)))
-    unit = force.unit
-    if unit is None:
-        unit = "g" if _IN_G[0] <= size <= _IN_G[1] else "m/s²"
-        notes.append(f"accelerometer: median {size:.2f}, so in {unit}")
-    scale = STANDARD_GRAVITY if unit == "g" else 1.0
-    size *= scale
-    if size < _IN_SI[0] / 2:
-        warnings.append(
-            f"accelerometer: median {size:.2f} m/s²: gravity seems to be removed; record the accelerometer with gravity"
-        )
-    elif not _IN_SI[0] <= size <= _IN_SI[1]:
-        warnings.append(f"accelerometer: median {size:.1f} m/s², not gravity's 9.8: check the unit")
-    return replace(force, values=force.values * scale)
 
 
 def _on_common_stamps(

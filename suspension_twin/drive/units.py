@@ -3,22 +3,24 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
-from suspension_twin.drive.types import VelocityData
+from suspension_twin.drive.types import ImuData, VelocityData
+from suspension_twin.units import STANDARD_GRAVITY
 
-__all__ = ["DEGREES", "ImuWindows", "Units", "course_turns", "rates_in_degrees", "recognise_units", "windowed"]
+__all__ = ["DEGREES", "ImuWindows", "Units", "imu_in_si", "rates_in_degrees", "recognise_units", "windowed"]
 
 Units = Literal["m/s2", "g", "gravity removed", "unknown"]
 
 #: rad in a degree.
 DEGREES = float(np.radians(1.0))
-#: Samples of a stretch whose mean is gravity (a second at 100 Hz), and stretches that are looked at.
-_STRETCH, _STRETCHES = 100, 64
+#: Samples of which each quarter has a mean that is gravity: four seconds at 100 Hz.
+_LONG = 400
 #: Angular rates beyond the range of any phone's gyroscope: 2300 degrees a second; and the share of seconds that hold one.
 _FASTEST, _OFTEN = 40.0, 0.1  # rad/s
 #: Turning of gravity by the gyroscope from second to second: rad that no road asks for (9°), and how many times that of
@@ -31,13 +33,13 @@ _FEWEST = 4
 
 
 def recognise_units(force: Floats) -> Units:
-    """Units of ``force`` (n, 3) by the length of its mean over stretches, which over seconds of driving is gravity."""
+    """Units of ``force`` (n, 3) by the length of its mean, which over seconds of driving is gravity."""
     if not len(force):
         return "unknown"
-    count = int(np.clip(len(force) // _STRETCH, 1, _STRETCHES))
-    starts = np.linspace(0, len(force), count, endpoint=False).astype(np.intp)
-    means = np.add.reduceat(force, starts, axis=0) / np.diff(np.append(starts, len(force)))[:, None]
-    length = float(np.median(np.linalg.norm(means, axis=1)))
+    length = float(np.linalg.norm(force.mean(axis=0)))
+    if length < 6.0 and len(force) >= _LONG:  # a sensor that was turned over has a mean, too
+        quarters = np.linalg.norm([part.mean(axis=0) for part in np.array_split(force, 4)], axis=1)
+        length = length if np.median(quarters) < 6.0 else float(np.median(quarters))
     if 6.0 < length < 14.0:
         return "m/s2"
     spread = float(np.median(np.abs(np.linalg.norm(force, axis=1) - length)))
@@ -46,12 +48,15 @@ def recognise_units(force: Floats) -> Units:
     return "gravity removed" if length < 3.0 else "unknown"
 
 
+@dataclass(frozen=True, eq=False)
 class ImuWindows:
     """Seconds of samples, one after the other: ``t`` (k,) s of their begin, mean ``force`` and ``rate`` (k, 3) and the
     ``largest`` (k,) rate of a sample."""
 
-    def __init__(self, t: Floats, force: Floats, rate: Floats, largest: Floats) -> None:
-        self.t, self.force, self.rate, self.largest = t, force, rate, largest
+    t: Floats
+    force: Floats
+    rate: Floats
+    largest: Floats
 
 
 def windowed(t: Floats, force: Floats, rate: Floats) -> ImuWindows:
@@ -82,7 +87,7 @@ def rates_in_degrees(windows: ImuWindows, velocity: VelocityData | None = None) 
     if np.median(length) > 0.5 and said > max(_TURNS, _TIMES * seen):
         return f"gravity turns by {seen / DEGREES:.1f}° a second and not by {said / DEGREES:.0f}°"
     if velocity is not None and len(velocity) > 1:
-        course, turned = course_turns(windows.t, np.sum(windows.rate * up, axis=1), velocity)
+        course, turned = _course_turns(windows.t, np.sum(windows.rate * up, axis=1), velocity)
         most = float(np.sum(np.abs(course)))
         if most > _BENDS and np.corrcoef(course, turned)[0, 1] ** 2 > _SURE**2:
             ratio = abs(float(turned @ course / (course @ course)))
@@ -91,11 +96,40 @@ def rates_in_degrees(windows: ImuWindows, velocity: VelocityData | None = None) 
     return ""
 
 
+def imu_in_si(
+    imu: ImuData, velocity: VelocityData | None, unit: Literal["m/s²", "g"] | None, notes: list[str]
+) -> tuple[ImuData, list[str]]:
+    """Recorded samples in m/s² and rad/s, and warnings; ``notes`` gets a line for each decision. ``unit`` is that of the
+    specific force by its source; None lets the values decide."""
+    size = float(np.median(np.linalg.norm(imu.specific_force, axis=1)))
+    seen = recognise_units(imu.specific_force)
+    if unit is None:
+        unit = "g" if seen == "g" else "m/s²"
+        notes.append(f"accelerometer: median {size:.2f}, so in {unit}")
+    warnings, scale = [], STANDARD_GRAVITY if unit == "g" else 1.0
+    force = scale * imu.specific_force
+    left = recognise_units(force)
+    if left == "unknown":
+        warnings.append(f"accelerometer: median {scale * size:.1f} m/s², not gravity's 9.8: check the unit")
+    elif left != "m/s2":
+        warnings.append(
+            f"accelerometer: median {scale * size:.2f} m/s²: gravity seems to be removed; record the accelerometer with "
+            "gravity"
+        )
+    evidence = rates_in_degrees(windowed(imu.t, force, imu.angular_rate), velocity)
+    rate = imu.angular_rate * (DEGREES if evidence else 1.0)
+    if evidence:
+        notes.append(f"gyroscope: rates in deg/s, taken times π/180: {evidence}")
+    elif (fastest := float(np.abs(rate).max())) > _FASTEST:
+        warnings.append(f"angular rates up to {fastest:.0f} rad/s: are they in deg/s?")
+    return replace(imu, specific_force=force, angular_rate=rate), warnings
+
+
 def _rms(vectors: Floats) -> float:
     return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1)))) if len(vectors) else 0.0
 
 
-def course_turns(t: Floats, yaw_rate: Floats, velocity: VelocityData) -> tuple[Floats, Floats]:
+def _course_turns(t: Floats, yaw_rate: Floats, velocity: VelocityData) -> tuple[Floats, Floats]:
     """rad by which the course of the ``velocity`` turns from second to second (k,) where the vehicle is fast enough, and
     by which the ``yaw_rate`` (k,) of the seconds from ``t`` (k,) on does."""
     east, north = (np.interp(np.append(t, t[-1] + 1.0), velocity.t, velocity.enu[:, i]) for i in (0, 1))

@@ -205,11 +205,11 @@ def clock_offset_beyond(drive: Drive, signals: ImuSignals, gps: Place, datum: Da
 
 def findings(drive: Drive, signals: ImuSignals, gps: Place, datum: Datum) -> list[Finding]:
     """Findings for the user, one line each."""
-    rates, found = drive.imu.angular_rate, []
-    largest = float(np.percentile(np.linalg.norm(rates[np.isfinite(rates).all(axis=1)], axis=1), 99))
+    found: list[Finding] = []
+    largest = float(np.percentile(np.linalg.norm(signals.rate, axis=1), 99))
     if largest > _LARGEST_RATE:
         text = f"the gyro reads more than {largest:.0f} rad/s for a hundredth of the drive: are its rates in °/s?"
-        found.append(Finding("error", "degrees", text))
+        return [Finding("error", "degrees", text)]
     pair = _pair(drive, signals, gps, datum)
     change = None if pair is None else _yaw_change(pair)
     if change is not None:

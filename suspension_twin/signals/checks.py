@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
+from suspension_twin.drive.units import Units
 from suspension_twin.signals.attitude import level_rpy, matrix_rpy, rpy_matrix, tilt_of
 from suspension_twin.units import STANDARD_GRAVITY
 
@@ -18,11 +19,11 @@ __all__ = [
     "MAX_RATE",
     "MIN_RATE",
     "Finding",
-    "Units",
     "check_axes",
     "check_mounting",
     "check_rate",
-    "recognise_units",
+    "check_rate_units",
+    "check_units",
     "saturated_samples",
 ]
 
@@ -30,8 +31,6 @@ MIN_RATE = 50.0
 MAX_RATE = 1600.0
 #: Full scales of the accelerometers in phones, m/s².
 FULL_SCALES = tuple(STANDARD_GRAVITY * g for g in (2, 4, 8, 16))
-
-Units = Literal["m/s2", "g", "gravity removed", "unknown"]
 
 
 @dataclass(frozen=True)
@@ -42,19 +41,6 @@ class Finding:
     level: Literal["ok", "warn", "error"]
     code: str
     text: str
-
-
-def recognise_units(force: Floats) -> Units:
-    """Units of ``force`` (n, 3) by the length of its mean, which over seconds of driving is gravity."""
-    if not len(force):
-        return "unknown"
-    length = float(np.linalg.norm(np.mean(force, axis=0)))
-    if 6.0 < length < 14.0:
-        return "m/s2"
-    spread = float(np.median(np.abs(np.linalg.norm(force, axis=1) - length)))
-    if 0.85 < length < 1.15 and spread < 0.35:
-        return "g"
-    return "gravity removed" if length < 3.0 else "unknown"
 
 
 def check_units(units: Units, length: float) -> Finding | None:
@@ -77,6 +63,18 @@ def check_units(units: Units, length: float) -> Finding | None:
             f"the mean acceleration is {length:.2f}, neither 9.81 m/s² nor 1 g nor 0: check units and scale",
         )
     return None
+
+
+def check_rate_units(evidence: str, converted: bool) -> Finding | None:
+    """Finding about angular rates in deg/s, with the ``evidence`` for it if there is any."""
+    if not evidence:
+        return None
+    done = "taken times π/180" if converted else "not converted (convert_units)"
+    return Finding(
+        "warn" if converted else "error",
+        "degrees",
+        f"angular rates come in °/s, {done}: {evidence}; send rad/s",
+    )
 
 
 def check_rate(rate: float) -> Finding | None:

@@ -12,15 +12,14 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
+from suspension_twin.drive.units import ImuWindows, Units, rates_in_degrees, recognise_units
 from suspension_twin.errors import InputError
 from suspension_twin.signals.attitude import up_step
 from suspension_twin.signals.checks import (
     FULL_SCALES,
     Finding,
-    Units,
     check_axes,
     check_rate,
-    recognise_units,
 )
 from suspension_twin.signals.clock import LiveClock, Stamp
 from suspension_twin.signals.filters import FilterSpec, filter_row, settle, steady_state
@@ -198,6 +197,7 @@ class ImuIngest:
         # stamp, mean force and share of quiet samples of windows, and the one under way
         self._gravity: deque[tuple[float, ...]] = deque(maxlen=_WINDOWS)
         self._under_way: list[tuple[float, ...]] = []
+        self._seconds: deque[tuple[float, ...]] = deque(maxlen=_WINDOWS)  # stamp, mean sample and largest rate
         self._velocity = (-math.inf, 0.0, 0.0)
         self._quiet = False
         self._reading = ImuReading(self.settings, self.place, self.settings.latitude)
@@ -254,7 +254,7 @@ class ImuIngest:
             self._design(rate_hz)
         out = self._advance(t, sample, stamp is Stamp.GAP)
         self._window.append(sample)
-        self._under_way.append((t, *sample[:3], self._quiet and t - self._velocity[0] < _FRESH))
+        self._under_way.append((t, *sample, self._quiet and t - self._velocity[0] < _FRESH))
         if t - self._under_way[0][0] >= WINDOW:
             self._end_gravity()
         if len(self._window) >= _LOOK * rate_hz:
@@ -380,7 +380,7 @@ class ImuIngest:
     def _update_turn(self) -> None:
         rotation = self._reading.level @ self._reading.mounting
         self._turn[:3] = self._reading.scale * rotation
-        self._turn[3:] = rotation
+        self._turn[3:] = self._reading.rate_scale * rotation
 
     def _check_level(self, mean: Floats) -> bool:
         """``mean`` (3,) is the specific force at rest in today's axes; True if they were turned for it."""
@@ -448,14 +448,28 @@ class ImuIngest:
             self._gravity.clear()
 
     def _end_gravity(self) -> None:
-        """A window is full: has the sensor turned in its holder? Its axes are turned back."""
+        """A second is full: do the rates come in degrees, has the sensor turned in its holder?"""
         rows = np.array(self._under_way)
         self._under_way.clear()
-        quiet = rows[:, 4] > 0
+        quiet = rows[:, 7] > 0
+        self._seconds.append((*rows.mean(axis=0)[:7].tolist(), float(np.linalg.norm(rows[:, 4:7], axis=1).max())))
         felt = rows[quiet] if quiet.mean() >= FILLED else rows
-        self._gravity.append(tuple(felt.mean(axis=0).tolist()))
-        if self._reading.removed:
-            return
+        self._gravity.append(tuple(felt.mean(axis=0)[[0, 1, 2, 3, 7]].tolist()))
+        if self._reading.rate_scale == 1.0:
+            self._look_for_degrees()
+        if not self._reading.removed:
+            self._look_for_turn(felt[:, 1:4].mean(axis=0))
+
+    def _look_for_degrees(self) -> None:
+        seconds = np.array(self._seconds)
+        force = self._reading.scale * seconds[:, 1:4]
+        evidence = rates_in_degrees(ImuWindows(seconds[:, 0], force, seconds[:, 4:7], seconds[:, 7]))
+        self._note("degrees", self._reading.take_rate_units(evidence))
+        if self._reading.rate_scale != 1.0:
+            self._start_over(seconds[-1, 1:4])
+
+    def _look_for_turn(self, force: Floats) -> None:
+        """Turn the axes back where the sensor has turned; ``force`` (3,) is the mean of the last second."""
         windows = np.array(self._gravity)
         change = None
         for blind, chosen in ((False, windows[windows[:, 4] == 1.0]), (True, windows)):
@@ -464,11 +478,15 @@ class ImuIngest:
             return
         self._note("turned", change.finding(0.5 * (change.last + change.first), self._begin))
         self._gravity.clear()
-        if change.slow:
-            return
-        self._reading.mounting = self._reading.mounting @ change.turn
+        if not change.slow:
+            self._reading.mounting = self._reading.mounting @ change.turn
+            self._start_over(force)
+
+    def _start_over(self, force: Floats) -> None:
+        """Forget biases and the vertical, which were learnt in other axes or units: it is that of ``force`` (3,)."""
         self._update_turn()
         self._reading.bias[:] = self._up_bias[:] = 0.0
         self._rest_count = 0.0
-        up = self._turn[:3] @ felt[:, 1:4].mean(axis=0)
-        self._up[:] = up / np.linalg.norm(up)
+        up = self._turn[:3] @ force
+        if not self._reading.removed:
+            self._up[:] = up / max(float(np.linalg.norm(up)), 1e-9)

@@ -8,13 +8,13 @@ import math
 import numpy as np
 import pytest
 
+from suspension_twin.drive.units import recognise_units
 from suspension_twin.signals.attitude import rpy_matrix
 from suspension_twin.signals.checks import (
     check_axes,
     check_mounting,
     check_rate,
     check_units,
-    recognise_units,
     saturated_samples,
 )
 
