@@ -105,7 +105,8 @@ def imu_in_si(
     seen = recognise_units(imu.specific_force)
     if unit is None:
         unit = "g" if seen == "g" else "m/s²"
-        notes.append(f"accelerometer: median {size:.2f}, so in {unit}")
+        if seen in ("g", "m/s2"):
+            notes.append(f"accelerometer: median {size:.2f}, so in {unit}")
     warnings, scale = [], STANDARD_GRAVITY if unit == "g" else 1.0
     force = scale * imu.specific_force
     left = recognise_units(force)

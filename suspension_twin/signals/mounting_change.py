@@ -91,19 +91,19 @@ class MountingChange:
         along = np.cumsum(force[first:last] @ (self.after - self.before))
         return float(t[min(first + int(np.argmin(along)) + 1, t.size - 1)]) if along.size else self.first
 
-    def finding(self, moment: float, begin: float) -> Finding:
-        """What happened, ``moment`` s after the stamp ``begin``, and what is done about it."""
+    def text(self, moment: float, begin: float) -> str:
+        """What happened, ``moment`` s after the stamp ``begin``."""
         degrees = math.degrees(self.angle)
         if self.slow:
-            text = (
-                f"the sensor turns slowly in its holder, by {degrees:.1f}° over the drive: fasten it and drive again"
-            )
-            return Finding("error", "turning", text)
-        text = (
-            f"the sensor turned in its holder by {degrees:.1f}° at {moment - begin:.1f} s: what follows is turned back "
-            "by gravity; fasten it"
-        )
-        return Finding("warn", "turned", text)
+            return f"the sensor turns slowly in its holder, by {degrees:.1f}° over the drive"
+        return f"the sensor turned in its holder by {degrees:.1f}° at {moment - begin:.1f} s"
+
+    def finding(self, moment: float, begin: float) -> Finding:
+        """What happened, ``moment`` s after the stamp ``begin``, and what is done about it."""
+        text = self.text(moment, begin)
+        if self.slow:
+            return Finding("error", "turning", f"{text}: fasten it and drive again")
+        return Finding("warn", "turned", f"{text}: what follows is turned back by gravity; fasten it")
 
 
 def windows_of(t: Floats, force: Floats, quiet: NDArray[np.bool_] | None, slope: Floats | None) -> Windows:

@@ -42,6 +42,7 @@ __all__ = [
     "ImuSignals",
     "gnss_motion",
     "ingest_drive",
+    "turns_said",
 ]
 
 NO_FIX = -1  # sensor_msgs/NavSatStatus
@@ -360,6 +361,17 @@ def mounting_changes(
             break
         force = turned_back(force, t >= moment, change)
     return found
+
+
+def turns_said(drive: Drive) -> list[str]:
+    """A line for each turn of the sensor in its holder during a drive."""
+    imu = drive.imu
+    cleaned = clean_stamps(imu.t, np.isfinite(imu.specific_force).all(axis=1))
+    force, t = imu.specific_force[cleaned.keep], cleaned.stamps
+    if t.size < 16 or recognise_units(force) == "gravity removed":
+        return []
+    changes = mounting_changes(t, force, gnss_motion(drive), drive.fix)
+    return [change.text(moment, t[0]) for moment, change in changes]
 
 
 def turned_back(vectors: Floats, behind: NDArray[np.bool_], change: MountingChange) -> Floats:
