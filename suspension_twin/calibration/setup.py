@@ -36,6 +36,7 @@ from suspension_twin.inference.observation import (
 )
 from suspension_twin.inference.problem import Data, Interrupted, Likelihood, Problem, Simulation
 from suspension_twin.inference.runs import observe_runs
+from suspension_twin.inference.sensor_correction import SensorCorrection
 from suspension_twin.inference.space import Space
 from suspension_twin.models.registry import model_of
 from suspension_twin.models.simulate import simulate_twin
@@ -130,7 +131,9 @@ def observe_checked(
 ) -> Observation:
     """Observe a drive for calibration, or refuse it with the reason and the remedy."""
     check_recording(drive)
-    observation = observe(drive, twin, road, settings, strict=True)
+    # a turn of the sensor that the twin has as an effect is calibrated; one that it has not bends everything else
+    refused = ("facing",) if SensorCorrection.of_twin(twin).turn is None else ()
+    observation = observe(drive, twin, road, settings, strict=True, refused=refused)
     check_drive(observation)
     return observation
 

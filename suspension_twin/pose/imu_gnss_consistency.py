@@ -21,6 +21,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
 from suspension_twin.pose.satellites import RATE, satellite_motion
+from suspension_twin.signals.attitude import matrix_rpy, rpy_matrix
 from suspension_twin.signals.checks import Finding
 from suspension_twin.signals.filters import FilterSpec, zero_phase
 from suspension_twin.signals.offline import ImuSignals, gnss_motion
@@ -204,12 +205,12 @@ def clock_offset_beyond(drive: Drive, signals: ImuSignals, gps: Place, datum: Da
 
 
 def findings(drive: Drive, signals: ImuSignals, gps: Place, datum: Datum) -> list[Finding]:
-    """Findings for the user, one line each."""
+    """Findings for the user, one line each, of which some exclude others."""
     found: list[Finding] = []
     largest = float(np.percentile(np.linalg.norm(signals.rate, axis=1), 99))
     if largest > _LARGEST_RATE:
         text = f"the gyro reads more than {largest:.0f} rad/s for a hundredth of the drive: are its rates in °/s?"
-        return [Finding("error", "degrees", text)]
+        return [Finding("error", "rates_unknown", text)]
     pair = _pair(drive, signals, gps, datum)
     change = None if pair is None else _yaw_change(pair)
     if change is not None:
@@ -217,14 +218,14 @@ def findings(drive: Drive, signals: ImuSignals, gps: Place, datum: Datum) -> lis
             f"by braking and turning the sensor turned in its holder by {math.degrees(change[1]):.0f}° about the "
             f"vertical at {change[0] - signals.t[0]:.1f} s: cut the drive there"
         )
-        return [*found, Finding("error", "turned", text)]
+        return [*found, Finding("error", "swivelled", text)]
     known = None if pair is None else _compared(pair)
     if known is None:
         return found
     if known.mirrored:
         text = "the lateral acceleration of the IMU is opposite to that of the path: its axes are mirrored, invert one"
         found.append(Finding("error", "mirrored", text))
-    elif known.reversed:
+    if known.reversed:
         text = "the gyro turns the other way about the vertical than the path: turn the sign of its rates"
         found.append(Finding("error", "reversed", text))
     if abs(known.clock_offset) > _CLOCK_OFFSET:
@@ -236,6 +237,10 @@ def findings(drive: Drive, signals: ImuSignals, gps: Place, datum: Datum) -> lis
             Finding("error" if far else "warn", "clocks", text + (f" ({_LEAP_SECONDS})" if far else ""))
         )
     if abs(known.yaw) > _TURNED:
-        text = f"by braking and turning the sensor is turned by {math.degrees(known.yaw):.0f}° about the vertical "
-        found.append(Finding("warn", "facing", text + "against imu.rpy of the twin file"))
+        roll, pitch, yaw = matrix_rpy(rpy_matrix((0.0, 0.0, known.yaw)) @ rpy_matrix(signals.place.rpy))
+        text = (
+            f"by braking and turning the sensor is turned by {math.degrees(known.yaw):.0f}° about the vertical against "
+            f"imu.rpy of the twin file: if it is the mount, set imu.rpy: [{roll:.4f}, {pitch:.4f}, {yaw:.4f}]"
+        )
+        found.append(Finding("warn", "facing", text))
     return found

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -18,6 +19,7 @@ from suspension_twin.units import STANDARD_GRAVITY
 __all__ = [
     "MAX_RATE",
     "MIN_RATE",
+    "EXCLUDES",
     "Finding",
     "check_axes",
     "check_mounting",
@@ -25,10 +27,14 @@ __all__ = [
     "check_rate_units",
     "check_units",
     "saturated_samples",
+    "told",
 ]
 
 MIN_RATE = 50.0
 MAX_RATE = 1600.0
+#: Codes of findings about the mounting by gravity, and by comparison with the path.
+_OF_GRAVITY = frozenset({"upside_down", "axes_wrong", "tilted"})
+_OF_MOTION = frozenset({"swivelled", "mirrored", "clocks", "reversed", "facing"})
 #: Full scales of the accelerometers in phones, m/s².
 FULL_SCALES = tuple(STANDARD_GRAVITY * g for g in (2, 4, 8, 16))
 
@@ -41,6 +47,39 @@ class Finding:
     level: Literal["ok", "warn", "error"]
     code: str
     text: str
+
+
+#: Which causes a finding leaves no room for: what it shows explains their signs, or takes the ground from under them, so
+#: that advice about them would be wrong. One row a finding, by codes; a cause of a later row never excludes one of an
+#: earlier row.
+EXCLUDES: dict[str, frozenset[str]] = {
+    # without gravity in m/s² there is no upright, and no acceleration to compare with the path
+    "units_unknown": _OF_GRAVITY | _OF_MOTION,
+    "gravity_removed": _OF_GRAVITY,
+    # a gyroscope in another unit turns the vertical and the path
+    "rates_unknown": _OF_GRAVITY | _OF_MOTION | {"off_road"},
+    # a mounting that changes is none that imu.rpy could state
+    "turning": _OF_GRAVITY | _OF_MOTION,
+    "swivelled": _OF_MOTION,
+    # axes that are not upright show no direction about the vertical
+    "upside_down": _OF_MOTION - {"clocks"},
+    "axes_wrong": _OF_MOTION - {"clocks"},
+    # over a drive slopes and bends tilt the mean, too
+    "no_standstill": frozenset({"tilted"}),
+    # with one axis mirrored, sign and yaw have no meaning
+    "mirrored": frozenset({"reversed", "facing"}),
+    # what is compared at the wrong time shows neither yaw nor road
+    "clocks": frozenset({"reversed", "facing"}),
+    # a map that starts anywhere is beside every road
+    "no_datum": frozenset({"off_road"}),
+}
+
+
+def told(findings: Iterable[Finding]) -> list[Finding]:
+    """The findings without those that others among them exclude."""
+    kept = list(findings)
+    gone = frozenset[str]().union(*(EXCLUDES.get(f.code, frozenset()) for f in kept))
+    return [f for f in kept if f.code not in gone]
 
 
 def check_units(units: Units, length: float) -> Finding | None:
@@ -72,7 +111,7 @@ def check_rate_units(evidence: str, converted: bool) -> Finding | None:
     done = "taken times π/180" if converted else "not converted (convert_units)"
     return Finding(
         "warn" if converted else "error",
-        "degrees",
+        "degrees" if converted else "rates_unknown",
         f"angular rates come in °/s, {done}: {evidence}; send rad/s",
     )
 

@@ -14,12 +14,13 @@ from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
 from suspension_twin.drive.units import ImuWindows, Units, rates_in_degrees, recognise_units
 from suspension_twin.errors import InputError
-from suspension_twin.signals.attitude import up_step
+from suspension_twin.signals.attitude import tilt_of, up_step
 from suspension_twin.signals.checks import (
     FULL_SCALES,
     Finding,
     check_axes,
     check_rate,
+    told,
 )
 from suspension_twin.signals.clock import LiveClock, Stamp
 from suspension_twin.signals.filters import FilterSpec, filter_row, settle, steady_state
@@ -183,7 +184,7 @@ class ImuIngest:
         if self.counts["saturated"]:
             text = f"{self.counts['saturated']} samples sit at the end of the range: set a larger range"
             found.append(Finding("warn", "saturated", text))
-        return sorted(found, key=lambda f: order[f.level])
+        return sorted(told(found), key=lambda f: order[f.level])
 
     def reset(self) -> None:
         """Forget everything, as at the start."""
@@ -353,15 +354,19 @@ class ImuIngest:
         self._begin = float(rows[0, 0])
         self._design(self._clock.rate)
         self._set_units(recognise_units(rows[:, 1:4]), rows[:, 1:4])
-        mean = self._turn[:3] @ rows[:, 1:4].mean(axis=0)
-        if (
-            abs(float(np.linalg.norm(mean)) / self._reading.gravity - 1.0) < 0.2
-        ):  # a bump does not show the mounting
-            self._check_level(mean)
         body = rows[:, 1:4] @ self._turn[:3].T
         rates = rows[:, 4:7] @ self._turn[3:].T
         turn = float(np.abs(rates.mean(axis=0)).max())
-        if is_still(float(body.std(axis=0).max()), float(rates.std(axis=0).max()), turn, self.settings.still):
+        still = is_still(float(body.std(axis=0).max()), float(rates.std(axis=0).max()), turn, self.settings.still)
+        mean = body.mean(axis=0)
+        # a bump does not show the mounting, and what a bend shows of it is no small tilt
+        if abs(float(np.linalg.norm(mean)) / self._reading.gravity - 1.0) < 0.2 and (
+            still or tilt_of(mean) > math.pi / 4
+        ):
+            self._check_level(mean)
+            body = rows[:, 1:4] @ self._turn[:3].T
+            rates = rows[:, 4:7] @ self._turn[3:].T
+        if still:
             self._learn_rest(np.concatenate([body.mean(axis=0), rates.mean(axis=0)]), 1.0)
         if not self._reading.removed:
             first = body.mean(axis=0) - self._reading.bias[:3]
