@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ Units = Literal["m/s2", "g", "gravity removed", "unknown"]
 DEGREES = float(np.radians(1.0))
 #: Samples of which each quarter has a mean that is gravity: four seconds at 100 Hz.
 _LONG = 400
-#: Angular rates beyond the range of any phone's gyroscope: 2300 degrees a second; and the share of seconds that hold one.
+#: Angular rates beyond the range of any phone's gyroscope, 2300 degrees a second; the share of seconds that hold one.
 _FASTEST, _OFTEN = 40.0, 0.1  # rad/s
 #: Turning of gravity by the gyroscope from second to second: rad that no road asks for (9°), and how many times that of
 #: the accelerometer, which accelerations make larger, not smaller.
@@ -76,7 +76,8 @@ def rates_in_degrees(windows: ImuWindows, velocity: VelocityData | None = None) 
     if windows.t.size < _FEWEST:
         return ""
     if float(np.mean(windows.largest > _FASTEST)) > _OFTEN:
-        return f"they reach {float(windows.largest.max()):.0f}, and no gyroscope of a phone measures {_FASTEST:.0f} rad/s"
+        most = float(windows.largest.max())
+        return f"they reach {most:.0f}, and no gyroscope of a phone measures {_FASTEST:.0f} rad/s"
     length = np.linalg.norm(windows.force, axis=1)
     up = windows.force / np.maximum(length, 1e-9)[:, None]
     rate = windows.rate - np.median(windows.rate, axis=0)
@@ -99,8 +100,8 @@ def rates_in_degrees(windows: ImuWindows, velocity: VelocityData | None = None) 
 def imu_in_si(
     imu: ImuData, velocity: VelocityData | None, unit: Literal["m/s²", "g"] | None, notes: list[str]
 ) -> tuple[ImuData, list[str]]:
-    """Recorded samples in m/s² and rad/s, and warnings; ``notes`` gets a line for each decision. ``unit`` is that of the
-    specific force by its source; None lets the values decide."""
+    """Recorded samples in m/s² and rad/s, and warnings; ``notes`` gets a line for each decision. ``unit`` is that of
+    the specific force by its source; None lets the values decide."""
     size = float(np.median(np.linalg.norm(imu.specific_force, axis=1)))
     seen = recognise_units(imu.specific_force)
     if unit is None:
@@ -114,8 +115,8 @@ def imu_in_si(
         warnings.append(f"accelerometer: median {scale * size:.1f} m/s², not gravity's 9.8: check the unit")
     elif left != "m/s2":
         warnings.append(
-            f"accelerometer: median {scale * size:.2f} m/s²: gravity seems to be removed; record the accelerometer with "
-            "gravity"
+            f"accelerometer: median {scale * size:.2f} m/s²: gravity seems to be removed; record the accelerometer "
+            "with gravity"
         )
     evidence = rates_in_degrees(windowed(imu.t, force, imu.angular_rate), velocity)
     rate = imu.angular_rate * (DEGREES if evidence else 1.0)
@@ -131,8 +132,8 @@ def _rms(vectors: Floats) -> float:
 
 
 def _course_turns(t: Floats, yaw_rate: Floats, velocity: VelocityData) -> tuple[Floats, Floats]:
-    """rad by which the course of the ``velocity`` turns from second to second (k,) where the vehicle is fast enough, and
-    by which the ``yaw_rate`` (k,) of the seconds from ``t`` (k,) on does."""
+    """rad by which the course of the ``velocity`` turns from second to second (k,) where the vehicle is fast enough,
+    and by which the ``yaw_rate`` (k,) of the seconds from ``t`` (k,) on does."""
     east, north = (np.interp(np.append(t, t[-1] + 1.0), velocity.t, velocity.enu[:, i]) for i in (0, 1))
     fast: NDArray[np.bool_] = np.hypot(east, north) > _COURSE
     turns = np.diff(np.arctan2(north, east))

@@ -35,7 +35,7 @@ _LARGEST_LAG = 40.0  # s
 #: Least correlation of a result, and by how much that of a long lag has to exceed that of the short ones.
 _LEAST_CORRELATION, _LEAST_MARGIN = 0.75, 0.15
 _LEAST = 0.2  # m/s² rms of the path's acceleration
-#: Of a drive too slow for a course: m/s from which it moves, m/s² across up to which it goes straight on, and a low-pass.
+#: Of a drive too slow for a course: m/s from which it moves, m/s² across up to which it goes straight on, a low-pass.
 _MOVING, _STRAIGHT, _SLOW = 0.8, 0.3, FilterSpec(2, 0.8)
 #: Limits in s and rad from which on a finding is reported, and clock offset in s from which on it is an error.
 _CLOCK_OFFSET, _TURNED, _CLOCK_OFFSET_ERROR = 0.3, 0.35, 2.0
@@ -128,7 +128,7 @@ def _compared(pair: _Pair) -> Consistency | None:
         return None
     yaw = 0.0 if handed else float(-np.angle(value))
     return Consistency(
-        clock_offset, yaw, handed, _reversed(*pair.rates.T, pair.used, round(clock_offset * RATE))
+        clock_offset, yaw, handed, _reversed(pair.rates, pair.used, round(clock_offset * RATE))
     )
 
 
@@ -142,7 +142,10 @@ def _yaw_change(pair: _Pair) -> tuple[float, float] | None:
         if own.size < 10 * RATE:
             continue
         a, f = pair.path[own], pair.force[own + k] - pair.force[own + k].mean()
-        product, energy = np.cumsum(f * a.conj()), np.cumsum(np.stack([np.abs(a) ** 2, np.abs(f) ** 2]), axis=1)
+        product, energy = (
+            np.cumsum(f * a.conj()),
+            np.cumsum(np.stack([np.abs(a) ** 2, np.abs(f) ** 2]), axis=1),
+        )
         total = np.abs(product) + np.abs(product[-1] - product)
         i = int(np.argmax(total))
         if total[i] <= best:
@@ -173,8 +176,10 @@ def _best_delay(force: Complexes, reference: Complexes, used: NDArray[np.bool_])
     return (best - most + between) / RATE, complex(values[best])
 
 
-def _reversed(rate: Floats, reference: Floats, used: NDArray[np.bool_], k: int) -> bool:
-    """Whether the yaw rates (n,) rad/s, ``k`` samples later, surely have the opposite sign of the path."""
+def _reversed(rates: Floats, used: NDArray[np.bool_], k: int) -> bool:
+    """Whether the first of the yaw ``rates`` (n, 2) rad/s, ``k`` samples later, surely has the opposite sign of the
+    second, the path's."""
+    rate, reference = rates.T
     if math.sqrt(float(np.mean(reference[used] ** 2))) < _LEAST_YAW_RATE:
         return False
     return _correlation(rate.astype(complex), reference.astype(complex), used, k).real < -_LEAST_CORRELATION

@@ -17,9 +17,9 @@ from suspension_twin.signals.attitude import level_rpy, matrix_rpy, rpy_matrix, 
 from suspension_twin.units import STANDARD_GRAVITY
 
 __all__ = [
+    "EXCLUDES",
     "MAX_RATE",
     "MIN_RATE",
-    "EXCLUDES",
     "Finding",
     "check_axes",
     "check_mounting",
@@ -35,6 +35,7 @@ MAX_RATE = 1600.0
 #: Codes of findings about the mounting by gravity, and by comparison with the path.
 _OF_GRAVITY = frozenset({"upside_down", "axes_wrong", "tilted"})
 _OF_MOTION = frozenset({"swivelled", "mirrored", "clocks", "reversed", "facing"})
+_OF_ROAD = frozenset({"off_road"})
 #: Full scales of the accelerometers in phones, m/s².
 FULL_SCALES = tuple(STANDARD_GRAVITY * g for g in (2, 4, 8, 16))
 
@@ -49,29 +50,32 @@ class Finding:
     text: str
 
 
-#: Which causes a finding leaves no room for: what it shows explains their signs, or takes the ground from under them, so
-#: that advice about them would be wrong. One row a finding, by codes; a cause of a later row never excludes one of an
+#: Which causes a finding leaves no room for: what it shows explains their signs, or takes the ground from under them,
+#: so that advice about them would be wrong. One row a finding, by codes; a cause of a later row never excludes one of an
 #: earlier row.
 EXCLUDES: dict[str, frozenset[str]] = {
-    # without gravity in m/s² there is no upright, and no acceleration to compare with the path
-    "units_unknown": _OF_GRAVITY | _OF_MOTION,
+    # without gravity in m/s² there is no upright, and no acceleration to make or to compare a path with
+    "units_unknown": _OF_GRAVITY | _OF_MOTION | _OF_ROAD,
     "gravity_removed": _OF_GRAVITY,
     # a gyroscope in another unit turns the vertical and the path
-    "rates_unknown": _OF_GRAVITY | _OF_MOTION | {"off_road"},
+    "rates_unknown": _OF_GRAVITY | _OF_MOTION | _OF_ROAD,
     # a mounting that changes is none that imu.rpy could state
     "turning": _OF_GRAVITY | _OF_MOTION,
-    "swivelled": _OF_MOTION,
+    "swivelled": _OF_MOTION - {"swivelled"},
     # axes that are not upright show no direction about the vertical
-    "upside_down": _OF_MOTION - {"clocks"},
-    "axes_wrong": _OF_MOTION - {"clocks"},
+    "upside_down": _OF_MOTION - {"swivelled", "clocks"},
+    "axes_wrong": _OF_MOTION - {"swivelled", "clocks"},
     # over a drive slopes and bends tilt the mean, too
     "no_standstill": frozenset({"tilted"}),
-    # with one axis mirrored, sign and yaw have no meaning
-    "mirrored": frozenset({"reversed", "facing"}),
-    # what is compared at the wrong time shows neither yaw nor road
-    "clocks": frozenset({"reversed", "facing"}),
+    # of mirrored axes sign and yaw have no meaning, and they bend the path
+    "mirrored": frozenset({"reversed", "facing"}) | _OF_ROAD,
+    # what is compared at the wrong time shows neither yaw nor standstill nor road
+    "clocks": frozenset({"reversed", "facing", "tilted"}) | _OF_ROAD,
+    # a path that is made with such a sensor leaves the road
+    "reversed": frozenset({"facing"}) | _OF_ROAD,
+    "facing": _OF_ROAD,
     # a map that starts anywhere is beside every road
-    "no_datum": frozenset({"off_road"}),
+    "no_datum": _OF_ROAD,
 }
 
 

@@ -198,7 +198,9 @@ class ImuIngest:
         # stamp, mean force and share of quiet samples of windows, and the one under way
         self._gravity: deque[tuple[float, ...]] = deque(maxlen=_WINDOWS)
         self._under_way: list[tuple[float, ...]] = []
-        self._seconds: deque[tuple[float, ...]] = deque(maxlen=_WINDOWS)  # stamp, mean sample and largest rate
+        self._seconds: deque[tuple[float, ...]] = deque(
+            maxlen=_WINDOWS
+        )  # stamp, mean sample and largest rate
         self._velocity = (-math.inf, 0.0, 0.0)
         self._quiet = False
         self._reading = ImuReading(self.settings, self.place, self.settings.latitude)
@@ -263,7 +265,7 @@ class ImuIngest:
         return out
 
     def heed_velocity(self, t: float, east: float, north: float) -> None:
-        """One velocity of the receiver at ``t`` s in m/s: where the vehicle brakes or turns, gravity is not felt alone."""
+        """One velocity of the receiver at ``t`` s in m/s: it shows whether the sensor feels gravity alone."""
         before, x, y = self._velocity
         if not t - before >= _APART:
             return
@@ -357,7 +359,9 @@ class ImuIngest:
         body = rows[:, 1:4] @ self._turn[:3].T
         rates = rows[:, 4:7] @ self._turn[3:].T
         turn = float(np.abs(rates.mean(axis=0)).max())
-        still = is_still(float(body.std(axis=0).max()), float(rates.std(axis=0).max()), turn, self.settings.still)
+        still = is_still(
+            float(body.std(axis=0).max()), float(rates.std(axis=0).max()), turn, self.settings.still
+        )
         mean = body.mean(axis=0)
         # a bump does not show the mounting, and what a bend shows of it is no small tilt
         if abs(float(np.linalg.norm(mean)) / self._reading.gravity - 1.0) < 0.2 and (
@@ -457,7 +461,9 @@ class ImuIngest:
         rows = np.array(self._under_way)
         self._under_way.clear()
         quiet = rows[:, 7] > 0
-        self._seconds.append((*rows.mean(axis=0)[:7].tolist(), float(np.linalg.norm(rows[:, 4:7], axis=1).max())))
+        self._seconds.append(
+            (*rows.mean(axis=0)[:7].tolist(), float(np.linalg.norm(rows[:, 4:7], axis=1).max()))
+        )
         felt = rows[quiet] if quiet.mean() >= FILLED else rows
         self._gravity.append(tuple(felt.mean(axis=0)[[0, 1, 2, 3, 7]].tolist()))
         if self._reading.rate_scale == 1.0:

@@ -107,7 +107,8 @@ class MountingChange:
 
 
 def windows_of(t: Floats, force: Floats, quiet: NDArray[np.bool_] | None, slope: Floats | None) -> Windows:
-    """Windows of stamps ``t`` (n,) s of the ``force`` (n, 3) where ``quiet`` (n,; None: not known), with the ``slope`` (n,) rad."""
+    """Windows of stamps ``t`` (n,) s of the ``force`` (n, 3) where ``quiet`` (n,), with the ``slope`` (n,) rad; either
+    is None where it is not known."""
     blind = quiet is None
     quiet = np.ones(t.size, dtype=np.bool_) if quiet is None else quiet
     number = np.floor((t - t[0]) / WINDOW).astype(np.intp)
@@ -125,7 +126,9 @@ def windows_of(t: Floats, force: Floats, quiet: NDArray[np.bool_] | None, slope:
 def mounting_change(windows: Windows) -> MountingChange | None:
     """The turn of the sensor that the windows surely show, if any."""
     length = np.linalg.norm(windows.force, axis=1)
-    good = np.abs(length / np.median(length) - 1.0) < 0.2 if length.size else length > 0  # gravity, not a bump
+    good = (
+        np.abs(length / np.median(length) - 1.0) < 0.2 if length.size else length > 0
+    )  # gravity, not a bump
     t, up = windows.t[good], windows.force[good] / length[good, None]
     n = t.size
     if n < 2 * _LEAST:
@@ -142,13 +145,15 @@ def mounting_change(windows: Windows) -> MountingChange | None:
         slope = windows.slope[good]
         allowed = _UNSURE * abs(float(np.median(slope[:k]) - np.median(slope[k:])))
     ends = float(t[max(k - stride, 0)]), float(t[min(k + stride - 1, n - 1)])
-    found = MountingChange(*map(_direction, sides), *ends)
+    found = MountingChange(_direction(sides[0]), _direction(sides[1]), *ends)
     if found.angle < max(_CROSS_SLOPE + allowed, _SURE * error):
         return None
     design = np.column_stack([np.ones(n), t - t[0]])
     line = design @ np.linalg.lstsq(design, up, rcond=None)[0]
     if float(np.linalg.norm(up - line, axis=1).sum()) < costs[best]:
-        return MountingChange(_direction(line[:1]), _direction(line[-1:]), float(t[0]), float(t[-1]), slow=True)
+        return MountingChange(
+            _direction(line[:1]), _direction(line[-1:]), float(t[0]), float(t[-1]), slow=True
+        )
     return found
 
 

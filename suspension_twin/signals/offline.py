@@ -104,7 +104,7 @@ class GnssMotion:
         if not far.any():
             return None
         slope = np.arctan2((altitude[high] - altitude[low])[far], (way[high] - way[low])[far])
-        return np.clip(np.interp(t, grid[far], slope), -STEEPEST, STEEPEST)
+        return np.asarray(np.clip(np.interp(t, grid[far], slope), -STEEPEST, STEEPEST))
 
     def acceleration(self, t: Floats, yaw_rate: Floats, place: tuple[float, float, float]) -> Floats:
         """(n, 3) m/s² in the plane at ``place`` in ``base_link``, ahead and to the left, by the vehicle's motion
@@ -309,8 +309,9 @@ def ingest_drive(drive: Drive, place: Place, settings: ImuSettings | None = None
     force, rate = reading.scale * raw_force @ turn.T, raw_rate @ turn.T
     speed = ground.least_speed(t) if ground.known else None
     standing = standstill_mask(rate_hz, force, rate, settings.still, speed)
-    if len(drive.velocity) < 4 and not reading.removed:
-        standing &= ~_accelerating(t, force, rate, rate_hz, settings.attitude_time)
+    blind = np.ones(t.size, dtype=np.bool_) if len(drive.velocity) < 4 or speed is None else np.isnan(speed)
+    if (blind & standing).any() and not reading.removed:
+        standing &= ~(blind & _accelerating(t, force, rate, rate_hz, settings.attitude_time))
     stands = int(standing.sum()) >= 0.5 * rate_hz
     rate_bias = rate[standing].mean(axis=0) if stands else _driving_bias(ground, t, rate)
     rate = rate - rate_bias
@@ -342,7 +343,9 @@ def ingest_drive(drive: Drive, place: Place, settings: ImuSettings | None = None
         vertical = force[:, 2] - gravity * up[:, 2]
     unit = reading.unit  # a sensor in g that is to be left so
     moments = tuple(moment for moment, change in changes if not change.slow)
-    facts = ImuFacts(place, gravity / unit, rate_hz, reading.bias[:3] / unit, rate_bias, gaps, findings, moments)
+    facts = ImuFacts(
+        place, gravity / unit, rate_hz, reading.bias[:3] / unit, rate_bias, gaps, findings, moments
+    )
     return ImuSignals(t, force / unit, rate, vertical / unit, up, standing, saturated, facts)
 
 
@@ -366,7 +369,7 @@ def mounting_changes(
 def turns_said(drive: Drive) -> list[str]:
     """A line for each turn of the sensor in its holder during a drive."""
     imu = drive.imu
-    cleaned = clean_stamps(imu.t, np.isfinite(imu.specific_force).all(axis=1))
+    cleaned = clean_stamps(imu.t, np.asarray(np.isfinite(imu.specific_force).all(axis=1)))
     force, t = imu.specific_force[cleaned.keep], cleaned.stamps
     if t.size < 16 or recognise_units(force) == "gravity removed":
         return []

@@ -41,7 +41,10 @@ def turning(seconds: float = 40.0, yaw_rate: float = 0.2, noise: float = 0.002) 
 
 def spoilt(drive: Drive, force: Callable[[np.ndarray], np.ndarray], rate: float = 1.0) -> Drive:
     imu = drive.imu
-    return replace(drive, imu=replace(imu, specific_force=force(imu.specific_force), angular_rate=rate * imu.angular_rate))
+    return replace(
+        drive,
+        imu=replace(imu, specific_force=force(imu.specific_force), angular_rate=rate * imu.angular_rate),
+    )
 
 
 WRONG = {

@@ -59,7 +59,7 @@ def bump(repository: Path) -> tuple[Drive, Twin]:
         ((0.0, 0.0, 1.0), -5.0, 50.0),
         ((0.0, 0.0, 1.0), 40.0, 34.8),
         ((0.7071, 0.0, -0.7071), 15.0, 50.0),
-        ((0.7071, 0.0, -0.7071), 170.0, 34.8),
+        ((0.7071, 0.0, -0.7071), -60.0, 34.8),
     ],
 )
 def test_a_slip_is_seen_said_and_turned_back(
@@ -70,11 +70,12 @@ def test_a_slip_is_seen_said_and_turned_back(
     (text,) = [f.text for f in found.findings if f.code == "turned"]
     angle, moment = map(float, re.findall(r"by ([\d.]+)° at ([\d.]+) s", text)[0])
     gravity = Rotation.from_rotvec(np.radians(degrees) * np.array(axis))
-    down = sound.up[np.abs(sound.t - sound.t[0] - at) < 5.0].mean(axis=0) @ Rotation.from_euler(
-        "xyz", twin.imu.rpy
-    ).as_matrix()
+    down = (
+        sound.up[np.abs(sound.t - sound.t[0] - at) < 5.0].mean(axis=0)
+        @ Rotation.from_euler("xyz", twin.imu.rpy).as_matrix()
+    )
     expected = math.degrees(math.acos(float(np.clip(down @ gravity.apply(down) / (down @ down), -1, 1))))
-    assert angle == pytest.approx(expected, abs=0.7 if degrees < 90 else 2.0)
+    assert angle == pytest.approx(expected, abs=0.7)
     assert moment == pytest.approx(at, abs=0.3)
     after = found.t > found.t[0] + at + 1.0
     left = np.linalg.norm(found.up[after, :2] - sound.up[after, :2], axis=1)
@@ -82,7 +83,9 @@ def test_a_slip_is_seen_said_and_turned_back(
 
 
 @pytest.mark.parametrize("axis", [(1.0, 0.0, 0.0), (0.0, 0.0, 1.0)])
-def test_a_holder_that_gives_way_all_the_time_is_refused(bump: tuple[Drive, Twin], axis: tuple[float, ...]) -> None:
+def test_a_holder_that_gives_way_all_the_time_is_refused(
+    bump: tuple[Drive, Twin], axis: tuple[float, ...]
+) -> None:
     drive, twin = bump
     ((code, text),) = said(with_turn(drive, droops(axis, 12.0)), twin.imu)
     assert code == "turning" and "slowly" in text
@@ -143,7 +146,9 @@ def test_a_turn_about_the_vertical_is_seen_by_braking(bump: tuple[Drive, Twin], 
 
 
 @pytest.mark.parametrize(("degrees", "seen"), [(0.0, False), (15.0, True), (-40.0, True), (90.0, True)])
-def test_the_live_twin_says_it_and_turns_it_back(bump: tuple[Drive, Twin], degrees: float, seen: bool) -> None:
+def test_the_live_twin_says_it_and_turns_it_back(
+    bump: tuple[Drive, Twin], degrees: float, seen: bool
+) -> None:
     drive, twin = bump
     live = DigitalTwin(ingest_stage(twin, ImuSettings()))
     *_, last = replay(with_turn(drive, slips((1.0, 0.0, 0.0), degrees, 34.8)), live)

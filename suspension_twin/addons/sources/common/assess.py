@@ -11,8 +11,8 @@ import numpy as np
 
 from suspension_twin.drive.checks import gravity_of, rhythm_of
 from suspension_twin.drive.types import FixData, ImuData, VelocityData
-from suspension_twin.signals.attitude import level_rpy
 from suspension_twin.drive.units import recognise_units
+from suspension_twin.signals.attitude import level_rpy
 from suspension_twin.signals.checks import Finding, check_axes, check_rate, check_units
 from suspension_twin.signals.imu import StillLimits, standstill_mask, white_noise
 
