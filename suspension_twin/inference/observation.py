@@ -62,6 +62,7 @@ __all__ = [
     "Reading",
     "Usage",
     "content_digest",
+    "first_fix",
     "observe",
     "renamed",
     "road_of",
@@ -478,7 +479,7 @@ def observe(
     timed = correction.timed(drive)
     same = replace(correction, upright=False) == plain
     mounted = signals if same else correction.signals(timed, twin.imu, settings.imu)
-    datum = twin.datum or _first_fix(drive)
+    datum = twin.datum or first_fix(drive)
     noticed = [*mounted.findings, *findings(timed, mounted, twin.gps, datum)]
     if twin.datum is None and twin.road is not None:
         noticed.append(NO_DATUM)
@@ -526,14 +527,14 @@ def with_shown_errors(observation: Observation) -> Observation:
     timed = base.timed(source.drive)
     if not clocks_with(e.id for e in twin.effects):
         shifted = replace(signals, t=signals.t - base.clock)
-        clock = clock_offset_beyond(timed, shifted, twin.gps, twin.datum or _first_fix(timed))
+        clock = clock_offset_beyond(timed, shifted, twin.gps, twin.datum or first_fix(timed))
     turn = _shown_turn(source, base) if base.turn is None else (0.0, 0.0, 0.0)
     return replace(observation, reading=replace(source, shown=SensorCorrection(turn, gain, clock)))
 
 
 def _shown_turn(source: Reading, base: SensorCorrection) -> Turn:
     twin, settings, trajectory = source.twin, source.settings, source.trajectory
-    datum = twin.datum or _first_fix(source.drive)
+    datum = twin.datum or first_fix(source.drive)
     roll, pitch, yaw = level_rpy(source.signals.up.mean(axis=0))
     timed = base.timed(source.drive)
 
@@ -610,12 +611,13 @@ def _motion(drive: Drive, twin: Twin, correction: SensorCorrection, settings: Ob
 def _locked(
     timed: Drive, twin: Twin, signals: ImuSignals, settings: ObserveSettings, upright: bool
 ) -> Trajectory:
-    datum = twin.datum or _first_fix(timed)
+    datum = twin.datum or first_fix(timed)
     trajectory = locked_trajectory(timed, signals, twin.gps, datum, signals.t, upright=upright)
     return denoised_motion(trajectory, signals, twin.cog_height) if settings.quiet else trajectory
 
 
-def _first_fix(drive: Drive) -> Datum:
+def first_fix(drive: Drive) -> Datum:
+    """The first usable fix as the origin of a map; InputError where there is none."""
     good = np.flatnonzero((drive.fix.status >= 0) & np.isfinite(drive.fix.latitude))
     if not good.size:
         raise InputError(drive.name, "fix", "has no usable GNSS fix: without a position the twin has no road")

@@ -51,8 +51,8 @@ class Finding:
 
 
 #: Which causes a finding leaves no room for: what it shows explains their signs, or takes the ground from under them,
-#: so that advice about them would be wrong. One row a finding, by codes; a cause of a later row never excludes one of an
-#: earlier row.
+#: so that advice about them would be wrong. One row a finding, by codes; a cause of a later row never excludes one of
+#: an earlier row.
 EXCLUDES: dict[str, frozenset[str]] = {
     # without gravity in m/s² there is no upright, and no acceleration to make or to compare a path with
     "units_unknown": _OF_GRAVITY | _OF_MOTION | _OF_ROAD,

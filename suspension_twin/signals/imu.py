@@ -184,7 +184,8 @@ class ImuReading:
 
     The decisions are those of the settings and the same live, over the windows seen so far, and offline, over a whole
     drive. ``gravity`` m/s²; ``scale`` from the unit sent to m/s², ``rate_scale`` to rad/s, ``unit`` that of what is
-    handed on; ``level`` (3, 3) turns the mounting of the twin file upright; ``bias`` (6,) of force m/s² and rate rad/s in ``base_link`` axes.
+    handed on; ``level`` (3, 3) turns the mounting of the twin file upright; ``bias`` (6,) of force m/s² and rate rad/s
+    in ``base_link`` axes.
 
     Parameters
     ----------
