@@ -26,10 +26,12 @@ _FASTEST, _OFTEN = 40.0, 0.1  # rad/s
 #: Turning of gravity by the gyroscope from second to second: rad that no road asks for (9°), and how many times that of
 #: the accelerometer, which accelerations make larger, not smaller.
 _TURNS, _TIMES = 0.15, 3.0
+#: Share of the turning by the gyroscope, in deg/s, that the accelerometer has to show.
+_LEAST = 0.7
 #: Speed in m/s from which a course is one, rad of turning that are needed, and the correlation that makes a ratio sure.
 _COURSE, _BENDS, _SURE = 3.0, 0.5, 0.75
 #: Of seconds: the fewest that show anything.
-_FEWEST = 4
+_FEWEST = 10
 
 
 def recognise_units(force: Floats) -> Units:
@@ -84,8 +86,8 @@ def rates_in_degrees(windows: ImuWindows, velocity: VelocityData | None = None) 
     follows = np.diff(windows.t) < 1.5
     seen = _rms(np.diff(up, axis=0)[follows])
     said = _rms(np.cross(0.5 * (up[1:] + up[:-1]), 0.5 * (rate[1:] + rate[:-1]))[follows])
-    # gravity that was removed does not turn
-    if np.median(length) > 0.5 and said > max(_TURNS, _TIMES * seen):
+    # gravity that was removed does not turn; and it has to turn as the rates say once they are converted
+    if np.median(length) > 0.5 and said > max(_TURNS, _TIMES * seen) and seen > _LEAST * DEGREES * said:
         return f"gravity turns by {seen / DEGREES:.1f}° a second and not by {said / DEGREES:.0f}°"
     if velocity is not None and len(velocity) > 1:
         course, turned = _course_turns(windows.t, np.sum(windows.rate * up, axis=1), velocity)
