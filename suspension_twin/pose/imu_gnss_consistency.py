@@ -62,7 +62,7 @@ class Consistency:
 
 @dataclass(frozen=True, eq=False)
 class _Pair:
-    """What both say at RATE Hz: ``t`` (n,) s, ``force`` of the IMU and ``path`` acceleration of the receiver as complex
+    """Both signals at RATE Hz: ``t`` (n,) s, ``force`` of the IMU and ``path`` acceleration of the receiver as complex
     numbers, ``rates`` (n, 2) about the vertical of IMU and path, and where they are ``used``."""
 
     t: Floats

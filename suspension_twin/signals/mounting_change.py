@@ -92,14 +92,14 @@ class MountingChange:
         return float(t[min(first + int(np.argmin(along)) + 1, t.size - 1)]) if along.size else self.first
 
     def text(self, moment: float, begin: float) -> str:
-        """What happened, ``moment`` s after the stamp ``begin``."""
+        """A line on it; ``moment`` is counted from the stamp ``begin``."""
         degrees = math.degrees(self.angle)
         if self.slow:
             return f"the sensor turns slowly in its holder, by {degrees:.1f}° over the drive"
         return f"the sensor turned in its holder by {degrees:.1f}° at {moment - begin:.1f} s"
 
     def finding(self, moment: float, begin: float) -> Finding:
-        """What happened, ``moment`` s after the stamp ``begin``, and what is done about it."""
+        """The line with what is done about it."""
         text = self.text(moment, begin)
         if self.slow:
             return Finding("error", "turning", f"{text}: fasten it and drive again")
