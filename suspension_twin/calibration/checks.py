@@ -10,7 +10,7 @@ import numpy as np
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.inference.excited_segments import TrimSettings
-from suspension_twin.inference.observation import Observation
+from suspension_twin.inference.observation import NO_DATUM, Observation
 
 __all__ = [
     "LEAST_EXCITED",
@@ -61,11 +61,12 @@ def check_drive(drive: Observation) -> None:
     moving = np.abs(drive.speed) > 0.8
     on_road = float(drive.inside[moving].mean())
     if on_road < 0.02:
-        away = _distance(drive)
+        never = f"never drives on the road {drive.road.name} ({_distance(drive):.0f} m away at the nearest)"
+        if drive.twin.datum is None:
+            raise InputError(drive.name, f"{never}: {NO_DATUM.text}")
         raise InputError(
             drive.name,
-            f"never drives on the road {drive.road.name} ({away:.0f} m away at the nearest): is it the road of "
-            "this drive, and is the twin file's datum the origin of its x and y?",
+            f"{never}: is it the road of this drive, and is the twin file's datum the origin of its x and y?",
         )
 
 

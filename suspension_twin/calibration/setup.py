@@ -37,7 +37,9 @@ from suspension_twin.inference.observation import (
 from suspension_twin.inference.priors import SINGLE
 from suspension_twin.inference.problem import Data, Interrupted, Likelihood, Problem, Simulation
 from suspension_twin.inference.runs import observe_runs
+from suspension_twin.inference.sensor_correction import SensorCorrection
 from suspension_twin.inference.space import Space
+from suspension_twin.models.parameters import layout
 from suspension_twin.models.registry import model_of
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.road import Road
@@ -104,6 +106,10 @@ def set_up(
     space = build_space(twin, preset, request.free, also=request.also, freeze=frozen, bounds=bounds)
     if model_of(twin).recordings != "drive":
         return _of_runs(request, original, twin, space, should_stop)
+    own = set(preset.keys) & set(layout(twin).names)
+    if preset.keys and not own and not request.free and not model_of(twin).opaque:
+        text = f"searches {preset.keys[0]} and others, which a {twin.model} does not have: take fast or paper"
+        raise InputError("preset", preset.name, text)
     road = road_of(twin)
     recordings = []
     for bag in request.bags:
@@ -130,7 +136,9 @@ def observe_checked(
 ) -> Observation:
     """Observe a drive for calibration, or refuse it with the reason and the remedy."""
     check_recording(drive)
-    observation = observe(drive, twin, road, settings, strict=True)
+    # a turn of the sensor that the twin has as an effect is calibrated; one that it has not bends everything else
+    refused = ("facing",) if SensorCorrection.of_twin(twin).turn is None else ()
+    observation = observe(drive, twin, road, settings, strict=True, refused=refused)
     check_drive(observation)
     return observation
 

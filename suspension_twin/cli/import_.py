@@ -14,6 +14,7 @@ from suspension_twin.drive.checks import summarise
 from suspension_twin.drive.importing import import_drive
 from suspension_twin.drive.read import Topics
 from suspension_twin.drive.write import BagWriter, write_drive
+from suspension_twin.signals.offline import turns_said
 
 __all__ = ["command"]
 
@@ -72,7 +73,8 @@ def command(
         imported = import_drive(files, mapping=mapping, topics=topics)
         outputs.announce()
         console.print(f"{imported.drive.name}: {imported.origin}")
-        warnings = (f"warning: {text}" for text in imported.drive.warnings)
+        doubts = *imported.drive.warnings, *turns_said(imported.drive)
+        warnings = (f"warning: {text}" for text in doubts)
         for line in (*summarise(imported.drive).lines(), *imported.notes, *warnings):
             console.print(Padding(line, (0, 0, 0, 2), expand=False))
         write_drive(imported.drive, out, overwrite=force)

@@ -12,6 +12,7 @@ import typer
 
 from suspension_twin.cli.common import Force, Outputs, bundled, output
 from suspension_twin.errors import InputError, nearest, printable
+from suspension_twin.vehicle.twin import Datum
 
 if TYPE_CHECKING:
     from suspension_twin.vehicle.new import Sizes
@@ -37,6 +38,15 @@ def command(
         Path | None,
         typer.Option("--road", help="The road file, OpenCRG.  [default: it is asked for]", metavar="ROAD"),
     ] = None,
+    drive: Annotated[
+        Path | None,
+        typer.Option(
+            "--drive",
+            help="Take the datum, the origin of the road's x and y, from the first fix of this recorded drive.",
+            metavar="BAG",
+            show_default=False,
+        ),
+    ] = None,
     force: Force = False,
 ) -> None:
     """A twin file, by questions about the vehicle's sizes (m, kg) and the phone's place, or from a ready one.
@@ -44,6 +54,8 @@ def command(
     Springs and dampers are those of a middle-class car, scaled by the mass: the start of a calibration. An empty
     answer takes the value in brackets.
     """
+    from suspension_twin.drive.read import read_drive
+    from suspension_twin.inference.observation import NO_DATUM, first_fix
     from suspension_twin.vehicle.new import resized
     from suspension_twin.vehicle.twin import RoadFile, load_twin, save_twin
 
@@ -51,11 +63,16 @@ def command(
     if road is not None and not road.is_file():
         raise InputError(road, "no such file")
     twin = load_twin(_ready(base or _BASE))
+    datum = None if drive is None else first_fix(read_drive(drive))
     outputs.announce()
     with outputs:
         if not base:
             sizes, road = _ask(twin, road)
             twin = resized(twin, sizes)
+            datum = datum if road is None else datum or _ask_datum()
+            twin = twin.model_copy(update={"datum": datum})  # not that of the car it was resized from
+        elif datum is not None:
+            twin = twin.model_copy(update={"datum": datum})
         if road is not None:
             twin = twin.model_copy(update={"road": RoadFile(file=road.resolve())})
         made = "By suspension-twin new. Springs and dampers are a guess: calibrate them."
@@ -63,6 +80,8 @@ def command(
     lines = [f"Written to {out}: {twin.vehicle.name} ({twin.model})"]
     if twin.road is None:
         lines.append("It has no road yet: suspension-twin road --help makes one.")
+    elif twin.datum is None:
+        lines.append(f"It has {NO_DATUM.text} (--drive takes it from a drive).")
     output().print(*lines, f"Next: suspension-twin run --twin {out} --view", sep="\n", markup=False)
 
 
@@ -110,6 +129,24 @@ def _ask_road() -> Path | None:
             return Path(given)
         typer.echo(f"  {printable(given)}: no such file", err=True)
     return None
+
+
+def _ask_datum() -> Datum | None:
+    """Where the road's x and y are 0, or nothing."""
+    question = "Datum, where the road's x and y are 0: latitude, longitude in degrees, empty: none yet"
+    try:
+        while given := str(typer.prompt(question, default="", show_default=False)):
+            try:
+                latitude, longitude = map(float, given.replace(",", " ").split())
+                if abs(latitude) <= 90.0 and abs(longitude) <= 180.0:
+                    return Datum(latitude=latitude, longitude=longitude)
+            except ValueError:
+                pass
+            typer.echo("  two numbers are needed, as 47.4025, 19.2840", err=True)
+    except typer.Abort:
+        if sys.stdin.isatty():
+            raise KeyboardInterrupt from None
+    return None  # also where the input has ended: a datum can be added later
 
 
 def _place(sensor: str, default: tuple[float, float, float]) -> tuple[float, float, float]:

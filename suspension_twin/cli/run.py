@@ -303,6 +303,8 @@ def _run(composed: Composed, stop_asked: Callable[[], bool], bag: Path | None) -
             composed.step()
         end = composed.condition()
         if composed.finished and not end.answers:
-            why = f": {end.complaints[0]}" if end.complaints else ""
+            # answers wait for the pose: what it lacks comes before what the samples lack
+            why = next((f": {c}" for c in end.complaints if c.startswith("pose_injector")), "")
+            why = why or (f": {end.complaints[0]}" if end.complaints else "")
             raise WorkError(f"{bag}: the twin answered none of {end.samples} IMU samples{why}")
         lines.conclude(conclusion(composed, time.monotonic() - began))

@@ -251,10 +251,11 @@ def _compared(case: Case) -> list[NDArray[np.intp]]:
                 rows[i] = fit_rows(case.drives[i], driven)
         seconds = _seconds(case, rows, known)
         if seconds < SHORTEST:
+            pace = "" if case.road else " above 3 m/s (without a road the path comes from the fixes alone)"
             raise InputError(
                 case.drives[known[0]].name,
-                f"{seconds:.1f} s of driving in the {what} cannot be split into stretches to fit and stretches to "
-                f"judge on: at least {SHORTEST:.0f} s are needed",
+                f"{seconds:.1f} s of driving{pace} in the {what} cannot be split into stretches to fit and stretches "
+                f"to judge on: at least {SHORTEST:.0f} s are needed",
             )
     return rows
 

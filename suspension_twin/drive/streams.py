@@ -29,8 +29,8 @@ from suspension_twin.drive.stamps import (
     unwrapped,
 )
 from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, VelocityData
+from suspension_twin.drive.units import imu_in_si
 from suspension_twin.errors import InputError
-from suspension_twin.units import STANDARD_GRAVITY
 
 __all__ = [
     "Series",
@@ -45,13 +45,8 @@ __all__ = [
 
 Received = TypeVar("Received", FixData, VelocityData, HeadingData)
 
-#: Median of |specific force| by which its unit is recognised: a sensor at rest reads 1 g.
-_IN_G: Final = (0.5, 2.0)
-_IN_SI: Final = (5.0, 20.0)
 #: Below this speed a receiver's bearing means nothing.
 _STANDING: Final = 0.3  # m/s
-#: Angular rates beyond the range of any phone's gyroscope: 2300 degrees a second.
-_FASTEST: Final = 40.0  # rad/s
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,10 +127,6 @@ def _assembled(streams: Streams, name: str, source: str, notes: list[str], warni
         raise InputError(source, "no gyroscope data: record it together with the accelerometer")
     force, span = _in_order(streams.force, "accelerometer", source, warnings)
     rate, _ = _in_order(streams.rate, "gyroscope", source, warnings)
-    force = _in_si(force, notes, warnings)
-    fastest = float(np.abs(rate.values).max())
-    if fastest > _FASTEST:
-        warnings.append(f"angular rates up to {fastest:.0f} rad/s: are they in deg/s?")
     if not np.array_equal(force.t, rate.t):
         force, rate = _on_common_stamps(force, rate, source, notes, warnings)
 
@@ -155,6 +146,8 @@ def _assembled(streams: Streams, name: str, source: str, notes: list[str], warni
     )
     drive, derived = with_velocities(clean_drive(drive))
     notes += derived
+    imu, doubts = imu_in_si(drive.imu, drive.velocity, force.unit, notes)
+    drive = replace(drive, imu=imu, warnings=(*drive.warnings, *doubts))
     if not len(drive.fix):
         notes.append("no GPS positions: the pose cannot be locked to this drive")
     else:
@@ -220,24 +213,6 @@ def _rising(
     if late := int((np.diff(t[index]) < 0).sum()):
         warnings.append(f"{late} of {t.size} {samples} came out of order: sorted")
     return t, index[np.argsort(t[index], kind="stable")], span
-
-
-def _in_si(force: Series, notes: list[str], warnings: list[str]) -> Series:
-    """Specific force in m/s²; the unit given, or the one its magnitude suggests."""
-    size = float(np.median(np.linalg.norm(force.values, axis=1)))
-    unit = force.unit
-    if unit is None:
-        unit = "g" if _IN_G[0] <= size <= _IN_G[1] else "m/s²"
-        notes.append(f"accelerometer: median {size:.2f}, so in {unit}")
-    scale = STANDARD_GRAVITY if unit == "g" else 1.0
-    size *= scale
-    if size < _IN_SI[0] / 2:
-        warnings.append(
-            f"accelerometer: median {size:.2f} m/s²: gravity seems to be removed; record the accelerometer with gravity"
-        )
-    elif not _IN_SI[0] <= size <= _IN_SI[1]:
-        warnings.append(f"accelerometer: median {size:.1f} m/s², not gravity's 9.8: check the unit")
-    return replace(force, values=force.values * scale)
 
 
 def _on_common_stamps(

@@ -9,7 +9,7 @@ from. ``observe`` makes one of a recorded drive: all that does not depend on the
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cached_property, lru_cache
 from typing import TypeVar
@@ -43,6 +43,7 @@ from suspension_twin.pose.types import Trajectory
 from suspension_twin.road.crg import warning_of
 from suspension_twin.road.road import Outside, Road
 from suspension_twin.signals.attitude import level_rpy, rpy_matrix
+from suspension_twin.signals.checks import Finding, told
 from suspension_twin.signals.conditioner import Conditioner
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.signals.ingest import ImuSettings
@@ -52,6 +53,7 @@ from suspension_twin.units import STANDARD_GRAVITY
 from suspension_twin.vehicle.twin import Datum, Twin
 
 __all__ = [
+    "NO_DATUM",
     "PLANAR",
     "VERTICAL",
     "Grid",
@@ -71,6 +73,13 @@ VERTICAL = ("vertical_acceleration", "roll_rate", "pitch_rate")
 PLANAR = ("longitudinal_acceleration", "lateral_acceleration", "yaw_rate")
 Stamped = TypeVar("Stamped", ImuSignals, Trajectory)
 
+#: Of a twin whose road has a place on the map, but whose map has none on Earth.
+NO_DATUM = Finding(
+    "warn",
+    "no_datum",
+    "no datum: the map starts at the first fix, and the road lies elsewhere unless the drive began at its origin; add "
+    "datum to the twin file",
+)
 #: Iterations of the yaw of a mounting: the path that shows it is made with its signals, and each leaves a fifth.
 _TURNS = 3
 #: Length of the blocks that are held out together: m of road, and s of a drive without one.
@@ -425,6 +434,7 @@ def observe(
     road: Road | None = None,
     settings: ObserveSettings | None = None,
     strict: bool = False,
+    refused: Collection[str] = (),
 ) -> Observation:
     """Observe a drive for comparison with a twin: all that does not depend on the candidate.
 
@@ -440,6 +450,8 @@ def observe(
         Filter, step, policy beyond the road's borders.
     strict : bool
         Refuse signals that must not be used for calibration (an IMU upside down, too slow, dead).
+    refused : collection of str
+        Codes of other findings that are refused.
 
     Returns
     -------
@@ -469,9 +481,11 @@ def observe(
     mounted = signals if same else correction.signals(timed, twin.imu, settings.imu)
     datum = twin.datum or first_fix(drive)
     noticed = [*mounted.findings, *findings(timed, mounted, twin.gps, datum)]
-    for finding in noticed if strict else ():
-        if finding.level == "error":
-            raise InputError(drive.name, "imu", finding.text)
+    if twin.datum is None and twin.road is not None:
+        noticed.append(NO_DATUM)
+    unusable = [f for f in told(noticed) if strict and f.level == "error"]
+    for finding in (*unusable, *(f for f in noticed if f.code in refused)):
+        raise InputError(drive.name, "imu", finding.text)
     if settings.satellites:
         slow = satellite_motion(drive, signals, twin.gps, datum)
         turn = SensorCorrection.of_twin(twin).turn or mounting_error(*slow)
@@ -486,10 +500,12 @@ def observe(
     found = _observed(Reading(drive, twin, road, settings, signals, trajectory))
     known = twin.road is not None and road.name == twin.road.file.name
     about = warning_of(twin.road.file) if known and twin.road is not None else None
+    beside = found.off_road.sentence(float(signals.t[0]))
+    noticed += [Finding("warn", "off_road", beside)] if beside else []
     said = (
         *drive.warnings,
-        *(f.text for f in noticed if f.level != "ok"),
-        *(text for text in (found.off_road.sentence(float(signals.t[0])), about) if text),
+        *(f.text for f in told(noticed) if f.level != "ok"),
+        *((about,) if about else ()),
     )
     return replace(found, warnings=said, grid=replace(found.grid, position_sigma=_position_sigma(drive)))
 

@@ -106,6 +106,8 @@ class DigitalTwin:
     def push_velocity(self, t: float, east: float, north: float) -> None:
         """One velocity of the antenna at ``t`` s in m/s."""
         self._follow_clock("velocity", t)
+        if self.ingest is not None:
+            self.ingest.heed_velocity(t, east, north)
         if self.lock is not None:
             self.lock.on_velocity(t, east, north)
 

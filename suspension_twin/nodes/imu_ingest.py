@@ -55,7 +55,7 @@ class ImuIngestNode(TwinNode):
         Param(
             "convert_units",
             _DEFAULT.convert_units,
-            "Convert the data of a sensor that sends g instead of m/s² (factor 9.80665).",
+            "Convert the data of a sensor that sends g instead of m/s² (factor 9.80665), or °/s instead of rad/s.",
         ),
         Param(
             "restore_gravity",

@@ -12,7 +12,7 @@ angle of c there the yaw of the mounting. For left-handed sensor axes the conjug
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +21,10 @@ from suspension_twin.arrays import Floats
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
 from suspension_twin.pose.satellites import RATE, satellite_motion
+from suspension_twin.signals.attitude import matrix_rpy, rpy_matrix
 from suspension_twin.signals.checks import Finding
-from suspension_twin.signals.offline import ImuSignals
+from suspension_twin.signals.filters import FilterSpec, zero_phase
+from suspension_twin.signals.offline import ImuSignals, gnss_motion
 from suspension_twin.vehicle.twin import Datum, Place
 
 __all__ = ["Consistency", "clock_offset_beyond", "consistency", "findings", "yaw_beyond"]
@@ -33,8 +35,12 @@ _LARGEST_LAG = 40.0  # s
 #: Least correlation of a result, and by how much that of a long lag has to exceed that of the short ones.
 _LEAST_CORRELATION, _LEAST_MARGIN = 0.75, 0.15
 _LEAST = 0.2  # m/s² rms of the path's acceleration
+#: Of a drive too slow for a course: m/s from which it moves, m/s² across up to which it goes straight on, a low-pass.
+_MOVING, _STRAIGHT, _SLOW = 0.8, 0.3, FilterSpec(2, 0.8)
 #: Limits in s and rad from which on a finding is reported, and clock offset in s from which on it is an error.
 _CLOCK_OFFSET, _TURNED, _CLOCK_OFFSET_ERROR = 0.3, 0.35, 2.0
+#: Share of the path's squared acceleration that lies on either side of a turn of the sensor at least.
+_LEAST_SHARE = 0.15
 #: Least rms yaw rate in rad/s for a check of the sign of the gyro.
 _LEAST_YAW_RATE = 0.02
 #: Largest plausible 99th percentile of the rate in rad/s; in °/s any drive exceeds it.
@@ -54,22 +60,66 @@ class Consistency:
     reversed: bool = False
 
 
-def consistency(drive: Drive, signals: ImuSignals, gps: Place, datum: Datum) -> Consistency | None:
-    """Compare IMU and GNSS; None where the drive has too little planar acceleration."""
+@dataclass(frozen=True, eq=False)
+class _Pair:
+    """Both signals at RATE Hz: ``t`` (n,) s, ``force`` of the IMU and ``path`` acceleration of the receiver as complex
+    numbers, ``rates`` (n, 2) about the vertical of IMU and path, and where they are ``used``."""
+
+    t: Floats
+    force: Complexes
+    path: Complexes
+    rates: Floats
+    used: NDArray[np.bool_]
+
+
+def _pair(drive: Drive, signals: ImuSignals, gps: Place, datum: Datum) -> _Pair | None:
+    """Both signals; None where the drive has too little planar acceleration."""
     try:
         slow, path = satellite_motion(drive, signals, gps, datum)
     except InputError:
-        return None
-    used = path.valid
-    if np.count_nonzero(used) < 5 * RATE:
-        return None
+        return _pair_by_speed(drive, signals)
     # the mean is removed instead of gravity, whose direction a gyro in wrong units would spoil
     force = slow.force @ np.array([1.0, 1.0j, 0.0])
-    reference = np.where(used, path.acceleration[:, 0] + 1.0j * path.speed * path.yaw_rate, 0.0)
-    reference[used] -= reference[used].mean()
-    if math.sqrt(float(np.mean(np.abs(reference[used]) ** 2))) < _LEAST:
+    rates = np.column_stack([slow.rate[:, 2], path.yaw_rate])
+    pair = _Pair(
+        slow.t, force, path.acceleration[:, 0] + 1.0j * path.speed * path.yaw_rate, rates, path.valid
+    )
+    return _excited(pair) or _pair_by_speed(drive, signals)
+
+
+def _pair_by_speed(drive: Drive, signals: ImuSignals) -> _Pair | None:
+    """Of a drive too slow for a course: the change of its speed alone, which is ahead, where it goes straight on."""
+    ground = gnss_motion(drive)
+    if not ground.known or signals.rate_hz < 2.0 * RATE:
         return None
-    plain, mirrored = (_best_delay(p, reference, used) for p in (force, force.conj()))
+    t = np.arange(signals.t[0], signals.t[-1], 1.0 / RATE)
+    slow = zero_phase(_SLOW, signals.rate_hz, np.column_stack([signals.rate[:, 2], signals.force[:, :2]]))
+    turn, x, y = (np.interp(t, signals.t, column) for column in slow.T)
+    speed = np.nan_to_num(ground.least_speed(t))
+    ahead = ground.acceleration(t, np.zeros(t.size), (0.0, 0.0, 0.0))[:, 0]
+    used = (speed > _MOVING) & (np.abs(speed * turn) < _STRAIGHT)
+    return _excited(_Pair(t, x + 1.0j * y, ahead.astype(complex), np.column_stack([turn, 0.0 * turn]), used))
+
+
+def _excited(pair: _Pair) -> _Pair | None:
+    """The pair with the path free of its mean; None where there is too little of it."""
+    used = pair.used
+    if np.count_nonzero(used) < 5 * RATE:
+        return None
+    path = np.where(used, pair.path, 0.0)
+    path[used] -= path[used].mean()
+    enough = math.sqrt(float(np.mean(np.abs(path[used]) ** 2))) >= _LEAST
+    return replace(pair, path=path) if enough else None
+
+
+def consistency(drive: Drive, signals: ImuSignals, gps: Place, datum: Datum) -> Consistency | None:
+    """Compare IMU and GNSS; None where the drive has too little planar acceleration."""
+    pair = _pair(drive, signals, gps, datum)
+    return None if pair is None else _compared(pair)
+
+
+def _compared(pair: _Pair) -> Consistency | None:
+    plain, mirrored = (_best_delay(p, pair.path, pair.used) for p in (pair.force, pair.force.conj()))
     # mirrored axes may also correlate by chance at a long lag
     better = abs(mirrored[1]) - abs(plain[1])
     handed = better > _LEAST_MARGIN or (
@@ -80,8 +130,35 @@ def consistency(drive: Drive, signals: ImuSignals, gps: Place, datum: Datum) -> 
         return None
     yaw = 0.0 if handed else float(-np.angle(value))
     return Consistency(
-        clock_offset, yaw, handed, _reversed(slow.rate[:, 2], path.yaw_rate, used, round(clock_offset * RATE))
+        clock_offset, yaw, handed, _reversed(pair.rates, pair.used, round(clock_offset * RATE))
     )
+
+
+def _yaw_change(pair: _Pair) -> tuple[float, float] | None:
+    """Moment in s and angle in rad of a turn of the sensor about the vertical: where the sums of f conj(a) before and
+    after, each along its own angle, explain most."""
+    most, best, found = min(round(_CLOCK_OFFSET_ERROR * RATE), pair.path.size - 1), 0.0, None
+    for k in range(-most, most + 1):
+        own = np.flatnonzero(pair.used)
+        own = own[(own + k >= 0) & (own + k < pair.path.size)]
+        if own.size < 10 * RATE:
+            continue
+        a, f = pair.path[own], pair.force[own + k] - pair.force[own + k].mean()
+        product, energy = (
+            np.cumsum(f * a.conj()),
+            np.cumsum(np.stack([np.abs(a) ** 2, np.abs(f) ** 2]), axis=1),
+        )
+        total = np.abs(product) + np.abs(product[-1] - product)
+        i = int(np.argmax(total))
+        if total[i] <= best:
+            continue
+        best, found = float(total[i]), None
+        sides = [(product[i], energy[:, i]), (product[-1] - product[i], energy[:, -1] - energy[:, i])]
+        share = min(float(e[0]) for _, e in sides) / float(energy[0, -1])
+        sure = all(abs(p) > _LEAST_CORRELATION * math.sqrt(max(float(e[0] * e[1]), 1e-12)) for p, e in sides)
+        if sure and share > _LEAST_SHARE:
+            found = float(pair.t[own[i]]), float(np.angle(sides[0][0] * np.conj(sides[1][0])))
+    return found if found is not None and abs(found[1]) > _TURNED else None
 
 
 def _best_delay(force: Complexes, reference: Complexes, used: NDArray[np.bool_]) -> tuple[float, complex]:
@@ -101,8 +178,10 @@ def _best_delay(force: Complexes, reference: Complexes, used: NDArray[np.bool_])
     return (best - most + between) / RATE, complex(values[best])
 
 
-def _reversed(rate: Floats, reference: Floats, used: NDArray[np.bool_], k: int) -> bool:
-    """Whether the yaw rates (n,) rad/s, ``k`` samples later, surely have the opposite sign of the path."""
+def _reversed(rates: Floats, used: NDArray[np.bool_], k: int) -> bool:
+    """Whether the first of the yaw ``rates`` (n, 2) rad/s, ``k`` samples later, surely has the opposite sign of the
+    second, the path's."""
+    rate, reference = rates.T
     if math.sqrt(float(np.mean(reference[used] ** 2))) < _LEAST_YAW_RATE:
         return False
     return _correlation(rate.astype(complex), reference.astype(complex), used, k).real < -_LEAST_CORRELATION
@@ -133,19 +212,27 @@ def clock_offset_beyond(drive: Drive, signals: ImuSignals, gps: Place, datum: Da
 
 
 def findings(drive: Drive, signals: ImuSignals, gps: Place, datum: Datum) -> list[Finding]:
-    """Findings for the user, one line each."""
-    rates, found = drive.imu.angular_rate, []
-    largest = float(np.percentile(np.linalg.norm(rates[np.isfinite(rates).all(axis=1)], axis=1), 99))
+    """Findings for the user, one line each, of which some exclude others."""
+    found: list[Finding] = []
+    largest = float(np.percentile(np.linalg.norm(signals.rate, axis=1), 99))
     if largest > _LARGEST_RATE:
         text = f"the gyro reads more than {largest:.0f} rad/s for a hundredth of the drive: are its rates in °/s?"
-        found.append(Finding("error", "degrees", text))
-    known = consistency(drive, signals, gps, datum)
+        return [Finding("error", "rates_unknown", text)]
+    pair = _pair(drive, signals, gps, datum)
+    change = None if pair is None else _yaw_change(pair)
+    if change is not None:
+        text = (
+            f"by braking and turning the sensor turned in its holder by {math.degrees(change[1]):.0f}° about the "
+            f"vertical at {change[0] - signals.t[0]:.1f} s: cut the drive there"
+        )
+        return [*found, Finding("error", "swivelled", text)]
+    known = None if pair is None else _compared(pair)
     if known is None:
         return found
     if known.mirrored:
         text = "the lateral acceleration of the IMU is opposite to that of the path: its axes are mirrored, invert one"
         found.append(Finding("error", "mirrored", text))
-    elif known.reversed:
+    if known.reversed:
         text = "the gyro turns the other way about the vertical than the path: turn the sign of its rates"
         found.append(Finding("error", "reversed", text))
     if abs(known.clock_offset) > _CLOCK_OFFSET:
@@ -157,6 +244,10 @@ def findings(drive: Drive, signals: ImuSignals, gps: Place, datum: Datum) -> lis
             Finding("error" if far else "warn", "clocks", text + (f" ({_LEAP_SECONDS})" if far else ""))
         )
     if abs(known.yaw) > _TURNED:
-        text = f"by braking and turning the sensor is turned by {math.degrees(known.yaw):.0f}° about the vertical "
-        found.append(Finding("warn", "facing", text + "against imu.rpy of the twin file"))
+        roll, pitch, yaw = matrix_rpy(rpy_matrix((0.0, 0.0, known.yaw)) @ rpy_matrix(signals.place.rpy))
+        text = (
+            f"by braking and turning the sensor is turned by {math.degrees(known.yaw):.0f}° about the vertical against "
+            f"imu.rpy of the twin file: if it is the mount, set imu.rpy: [{roll:.4f}, {pitch:.4f}, {yaw:.4f}]"
+        )
+        found.append(Finding("warn", "facing", text))
     return found

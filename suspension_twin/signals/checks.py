@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -11,27 +12,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
+from suspension_twin.drive.units import Units
 from suspension_twin.signals.attitude import level_rpy, matrix_rpy, rpy_matrix, tilt_of
 from suspension_twin.units import STANDARD_GRAVITY
 
 __all__ = [
+    "EXCLUDES",
     "MAX_RATE",
     "MIN_RATE",
     "Finding",
-    "Units",
     "check_axes",
     "check_mounting",
     "check_rate",
-    "recognise_units",
+    "check_rate_units",
+    "check_units",
     "saturated_samples",
+    "told",
 ]
 
 MIN_RATE = 50.0
 MAX_RATE = 1600.0
+#: Codes of findings about the mounting by gravity, and by comparison with the path.
+_OF_GRAVITY = frozenset({"upside_down", "axes_wrong", "tilted"})
+_OF_MOTION = frozenset({"swivelled", "mirrored", "clocks", "reversed", "facing"})
+_OF_ROAD = frozenset({"off_road"})
 #: Full scales of the accelerometers in phones, m/s².
 FULL_SCALES = tuple(STANDARD_GRAVITY * g for g in (2, 4, 8, 16))
-
-Units = Literal["m/s2", "g", "gravity removed", "unknown"]
 
 
 @dataclass(frozen=True)
@@ -44,17 +50,40 @@ class Finding:
     text: str
 
 
-def recognise_units(force: Floats) -> Units:
-    """Units of ``force`` (n, 3) by the length of its mean, which over seconds of driving is gravity."""
-    if not len(force):
-        return "unknown"
-    length = float(np.linalg.norm(np.mean(force, axis=0)))
-    if 6.0 < length < 14.0:
-        return "m/s2"
-    spread = float(np.median(np.abs(np.linalg.norm(force, axis=1) - length)))
-    if 0.85 < length < 1.15 and spread < 0.35:
-        return "g"
-    return "gravity removed" if length < 3.0 else "unknown"
+#: Which causes a finding leaves no room for: what it shows explains their signs, or takes the ground from under them,
+#: so that advice about them would be wrong. One row a finding, by codes; a cause of a later row never excludes one of
+#: an earlier row.
+EXCLUDES: dict[str, frozenset[str]] = {
+    # without gravity in m/s² there is no upright, and no acceleration to make or to compare a path with
+    "units_unknown": _OF_GRAVITY | _OF_MOTION | _OF_ROAD,
+    "gravity_removed": _OF_GRAVITY,
+    # a gyroscope in another unit turns the vertical and the path
+    "rates_unknown": _OF_GRAVITY | _OF_MOTION | _OF_ROAD,
+    # a mounting that changes is none that imu.rpy could state
+    "turning": _OF_GRAVITY | _OF_MOTION,
+    "swivelled": _OF_MOTION - {"swivelled"},
+    # axes that are not upright show no direction about the vertical
+    "upside_down": _OF_MOTION - {"swivelled", "clocks"},
+    "axes_wrong": _OF_MOTION - {"swivelled", "clocks"},
+    # over a drive slopes and bends tilt the mean, too
+    "no_standstill": frozenset({"tilted"}),
+    # of mirrored axes sign and yaw have no meaning, and they bend the path
+    "mirrored": frozenset({"reversed", "facing"}) | _OF_ROAD,
+    # what is compared at the wrong time shows neither yaw nor standstill nor road
+    "clocks": frozenset({"reversed", "facing", "tilted"}) | _OF_ROAD,
+    # a path that is made with such a sensor leaves the road
+    "reversed": frozenset({"facing"}) | _OF_ROAD,
+    "facing": _OF_ROAD,
+    # a map that starts anywhere is beside every road
+    "no_datum": _OF_ROAD,
+}
+
+
+def told(findings: Iterable[Finding]) -> list[Finding]:
+    """The findings without those that others among them exclude."""
+    kept = list(findings)
+    gone = frozenset[str]().union(*(EXCLUDES.get(f.code, frozenset()) for f in kept))
+    return [f for f in kept if f.code not in gone]
 
 
 def check_units(units: Units, length: float) -> Finding | None:
@@ -77,6 +106,18 @@ def check_units(units: Units, length: float) -> Finding | None:
             f"the mean acceleration is {length:.2f}, neither 9.81 m/s² nor 1 g nor 0: check units and scale",
         )
     return None
+
+
+def check_rate_units(evidence: str, converted: bool) -> Finding | None:
+    """Finding about angular rates in deg/s, with the ``evidence`` for it if there is any."""
+    if not evidence:
+        return None
+    done = "taken times π/180" if converted else "not converted (convert_units)"
+    return Finding(
+        "warn" if converted else "error",
+        "degrees" if converted else "rates_unknown",
+        f"angular rates come in °/s, {done}: {evidence}; send rad/s",
+    )
 
 
 def check_rate(rate: float) -> Finding | None:

@@ -13,9 +13,10 @@ from scipy.ndimage import binary_dilation, binary_opening, uniform_filter1d
 
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
+from suspension_twin.drive.units import DEGREES, Units
 from suspension_twin.errors import InputError
 from suspension_twin.signals.attitude import level_rpy, normal_gravity, rpy_matrix, tilt_of
-from suspension_twin.signals.checks import Finding, Units, check_mounting, check_units
+from suspension_twin.signals.checks import Finding, check_mounting, check_rate_units, check_units
 from suspension_twin.signals.filters import FilterSpec, zero_phase
 from suspension_twin.units import STANDARD_GRAVITY
 from suspension_twin.vehicle.twin import Place
@@ -127,7 +128,7 @@ class ImuSettings:
     filter : FilterSpec
         The low-pass.
     convert_units : bool
-        Multiply a sensor in g by 9.80665.
+        Multiply a sensor in g by 9.80665, and one in °/s by π/180.
     restore_gravity : bool
         Add gravity where the phone has removed it.
     level : {"gross", "never", "always"}
@@ -182,8 +183,9 @@ class ImuReading:
     """Units, axes and biases of an IMU: how its readings become specific force and angular rate in ``base_link``.
 
     The decisions are those of the settings and the same live, over the windows seen so far, and offline, over a whole
-    drive. ``gravity`` m/s²; ``scale`` from the unit sent to m/s², ``unit`` that of what is handed on; ``level`` (3, 3)
-    turns the mounting of the twin file upright; ``bias`` (6,) of force m/s² and rate rad/s in ``base_link`` axes.
+    drive. ``gravity`` m/s²; ``scale`` from the unit sent to m/s², ``rate_scale`` to rad/s, ``unit`` that of what is
+    handed on; ``level`` (3, 3) turns the mounting of the twin file upright; ``bias`` (6,) of force m/s² and rate rad/s
+    in ``base_link`` axes.
 
     Parameters
     ----------
@@ -199,7 +201,7 @@ class ImuReading:
         self.settings, self.place = settings, place
         self.gravity = normal_gravity(latitude)
         self.units: Units = "m/s2"
-        self.scale = self.unit = 1.0
+        self.scale = self.unit = self.rate_scale = 1.0
         self.mounting = rpy_matrix(place.rpy)
         self.level: Floats = np.eye(3)
         self.bias = np.zeros(6)
@@ -215,6 +217,11 @@ class ImuReading:
         self.scale = STANDARD_GRAVITY if units == "g" else 1.0
         self.unit = 1.0 if self.settings.convert_units else self.scale
         return check_units(units, float(np.linalg.norm(force.mean(axis=0))))
+
+    def take_rate_units(self, evidence: str) -> Finding | None:
+        """Take angular rates for °/s where there is ``evidence`` of it; a finding then."""
+        self.rate_scale = DEGREES if evidence and self.settings.convert_units else 1.0
+        return check_rate_units(evidence, self.settings.convert_units)
 
     def check_level(self, mean: Floats) -> Finding | None:
         """A finding where ``mean`` (3,), the specific force at rest in today's axes, is not upright in the file's."""

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -12,15 +12,15 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
+from suspension_twin.drive.units import ImuWindows, Units, rates_in_degrees, recognise_units
 from suspension_twin.errors import InputError
-from suspension_twin.signals.attitude import up_step
+from suspension_twin.signals.attitude import tilt_of, up_step
 from suspension_twin.signals.checks import (
     FULL_SCALES,
     Finding,
-    Units,
     check_axes,
     check_rate,
-    recognise_units,
+    told,
 )
 from suspension_twin.signals.clock import LiveClock, Stamp
 from suspension_twin.signals.filters import FilterSpec, filter_row, settle, steady_state
@@ -31,6 +31,7 @@ from suspension_twin.signals.imu import (
     is_still,
     standstill_filter_step,
 )
+from suspension_twin.signals.mounting_change import FILLED, QUIET, WINDOW, Windows, mounting_change
 from suspension_twin.vehicle.twin import Place
 
 __all__ = [
@@ -113,6 +114,10 @@ def ingest_step(
 
 #: No sensor of a vehicle sends this much, in whatever unit.
 ABSURD = 1.0e5
+#: s of samples between two looks at their units, axes and mounting, and windows that a turn of the sensor is seen in.
+_LOOK, _WINDOWS = 2.0, 120
+#: s that a velocity counts, and by which two are apart whose change does.
+_FRESH, _APART = 3.0, 0.5
 #: Of a row of ``ingest_step``: specific force, acceleration and raw specific force.
 _FORCES = [0, 1, 2, 6, 7, 8, 9, 10, 11]
 Vector = tuple[float, float, float]
@@ -179,7 +184,7 @@ class ImuIngest:
         if self.counts["saturated"]:
             text = f"{self.counts['saturated']} samples sit at the end of the range: set a larger range"
             found.append(Finding("warn", "saturated", text))
-        return sorted(found, key=lambda f: order[f.level])
+        return sorted(told(found), key=lambda f: order[f.level])
 
     def reset(self) -> None:
         """Forget everything, as at the start."""
@@ -189,6 +194,15 @@ class ImuIngest:
         self._pending: list[tuple[float, ...]] = []
         self._window: list[tuple[float, ...]] = []
         self._unit_mismatches = 0
+        self._begin = math.nan
+        # stamp, mean force and share of quiet samples of windows, and the one under way
+        self._gravity: deque[tuple[float, ...]] = deque(maxlen=_WINDOWS)
+        self._under_way: list[tuple[float, ...]] = []
+        self._seconds: deque[tuple[float, ...]] = deque(
+            maxlen=_WINDOWS
+        )  # stamp, mean sample and largest rate
+        self._velocity = (-math.inf, 0.0, 0.0)
+        self._quiet = False
         self._reading = ImuReading(self.settings, self.place, self.settings.latitude)
         self._up_bias = np.zeros(3)
         self._up = np.array([0.0, 0.0, 1.0])
@@ -243,9 +257,20 @@ class ImuIngest:
             self._design(rate_hz)
         out = self._advance(t, sample, stamp is Stamp.GAP)
         self._window.append(sample)
-        if len(self._window) >= 2.0 * rate_hz:
+        self._under_way.append((t, *sample, self._quiet and t - self._velocity[0] < _FRESH))
+        if t - self._under_way[0][0] >= WINDOW:
+            self._end_gravity()
+        if len(self._window) >= _LOOK * rate_hz:
             self._look_at_window()
         return out
+
+    def heed_velocity(self, t: float, east: float, north: float) -> None:
+        """One velocity of the receiver at ``t`` s in m/s: it shows whether the sensor feels gravity alone."""
+        before, x, y = self._velocity
+        if not t - before >= _APART:
+            return
+        self._quiet = math.hypot(east - x, north - y) < QUIET * (t - before) < QUIET * _FRESH
+        self._velocity = t, east, north
 
     def _is_clipped(self, sample: tuple[float, ...]) -> bool:
         largest = max(abs(sample[0]), abs(sample[1]), abs(sample[2])) * self._reading.scale
@@ -328,17 +353,24 @@ class ImuIngest:
     def _start(self, rows: Floats) -> None:
         """The rate is known: look at the first samples, then run."""
         assert self._clock.rate is not None
+        self._begin = float(rows[0, 0])
         self._design(self._clock.rate)
         self._set_units(recognise_units(rows[:, 1:4]), rows[:, 1:4])
-        mean = self._turn[:3] @ rows[:, 1:4].mean(axis=0)
-        if (
-            abs(float(np.linalg.norm(mean)) / self._reading.gravity - 1.0) < 0.2
-        ):  # a bump does not show the mounting
-            self._check_level(mean)
         body = rows[:, 1:4] @ self._turn[:3].T
         rates = rows[:, 4:7] @ self._turn[3:].T
         turn = float(np.abs(rates.mean(axis=0)).max())
-        if is_still(float(body.std(axis=0).max()), float(rates.std(axis=0).max()), turn, self.settings.still):
+        still = is_still(
+            float(body.std(axis=0).max()), float(rates.std(axis=0).max()), turn, self.settings.still
+        )
+        mean = body.mean(axis=0)
+        # a bump does not show the mounting, and what a bend shows of it is no small tilt
+        if abs(float(np.linalg.norm(mean)) / self._reading.gravity - 1.0) < 0.2 and (
+            still or tilt_of(mean) > math.pi / 4
+        ):
+            self._check_level(mean)
+            body = rows[:, 1:4] @ self._turn[:3].T
+            rates = rows[:, 4:7] @ self._turn[3:].T
+        if still:
             self._learn_rest(np.concatenate([body.mean(axis=0), rates.mean(axis=0)]), 1.0)
         if not self._reading.removed:
             first = body.mean(axis=0) - self._reading.bias[:3]
@@ -357,7 +389,7 @@ class ImuIngest:
     def _update_turn(self) -> None:
         rotation = self._reading.level @ self._reading.mounting
         self._turn[:3] = self._reading.scale * rotation
-        self._turn[3:] = rotation
+        self._turn[3:] = self._reading.rate_scale * rotation
 
     def _check_level(self, mean: Floats) -> bool:
         """``mean`` (3,) is the specific force at rest in today's axes; True if they were turned for it."""
@@ -366,6 +398,7 @@ class ImuIngest:
         if turn is None:
             return False
         self._update_turn()
+        self._gravity.clear()
         self._up[:] = turn @ self._up
         self._up_bias[:] = 0.0
         self._rest_count = 0.0
@@ -421,3 +454,50 @@ class ImuIngest:
             self._reading.bias[:] = self._up_bias[:] = 0.0
             self._rest_count = 0.0
             self._unit_mismatches = 0
+            self._gravity.clear()
+
+    def _end_gravity(self) -> None:
+        """A second is full: do the rates come in degrees, has the sensor turned in its holder?"""
+        rows = np.array(self._under_way)
+        self._under_way.clear()
+        quiet = rows[:, 7] > 0
+        self._seconds.append(
+            (*rows.mean(axis=0)[:7].tolist(), float(np.linalg.norm(rows[:, 4:7], axis=1).max()))
+        )
+        felt = rows[quiet] if quiet.mean() >= FILLED else rows
+        self._gravity.append(tuple(felt.mean(axis=0)[[0, 1, 2, 3, 7]].tolist()))
+        if self._reading.rate_scale == 1.0:
+            self._look_for_degrees()
+        if not self._reading.removed:
+            self._look_for_turn(felt[:, 1:4].mean(axis=0))
+
+    def _look_for_degrees(self) -> None:
+        seconds = np.array(self._seconds)
+        force = self._reading.scale * seconds[:, 1:4]
+        evidence = rates_in_degrees(ImuWindows(seconds[:, 0], force, seconds[:, 4:7], seconds[:, 7]))
+        self._note("degrees", self._reading.take_rate_units(evidence))
+        if self._reading.rate_scale != 1.0:
+            self._start_over(seconds[-1, 1:4])
+
+    def _look_for_turn(self, force: Floats) -> None:
+        """Turn the axes back where the sensor has turned; ``force`` (3,) is the mean of the last second."""
+        windows = np.array(self._gravity)
+        change = None
+        for blind, chosen in ((False, windows[windows[:, 4] == 1.0]), (True, windows)):
+            change = change or mounting_change(Windows(chosen[:, 0], chosen[:, 1:4], blind=blind))
+        if change is None:
+            return
+        self._note("turned", change.finding(0.5 * (change.last + change.first), self._begin))
+        self._gravity.clear()
+        if not change.slow:
+            self._reading.mounting = self._reading.mounting @ change.turn
+            self._start_over(force)
+
+    def _start_over(self, force: Floats) -> None:
+        """Forget biases and the vertical, which were learnt in other axes or units: it is that of ``force`` (3,)."""
+        self._update_turn()
+        self._reading.bias[:] = self._up_bias[:] = 0.0
+        self._rest_count = 0.0
+        up = self._turn[:3] @ force
+        if not self._reading.removed:
+            self._up[:] = up / max(float(np.linalg.norm(up)), 1e-9)

@@ -4,14 +4,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from suspension_twin.arrays import Floats
-from suspension_twin.drive.types import Drive
+from suspension_twin.drive.types import Drive, FixData
+from suspension_twin.drive.units import rates_in_degrees, recognise_units, windowed
 from suspension_twin.errors import InputError
 from suspension_twin.signals.attitude import (
     carried_up,
@@ -21,11 +22,17 @@ from suspension_twin.signals.checks import (
     Finding,
     check_axes,
     check_rate,
-    recognise_units,
     saturated_samples,
 )
 from suspension_twin.signals.clock import Cleaned, clean_stamps, find_gaps, nominal_rate
 from suspension_twin.signals.imu import MAX_TILT_DIFFERENCE, ImuReading, ImuSettings, standstill_mask
+from suspension_twin.signals.mounting_change import (
+    QUIET,
+    WINDOW,
+    MountingChange,
+    mounting_change,
+    windows_of,
+)
 from suspension_twin.vehicle.twin import Place
 
 __all__ = [
@@ -35,11 +42,15 @@ __all__ = [
     "ImuSignals",
     "gnss_motion",
     "ingest_drive",
+    "turns_said",
 ]
 
 NO_FIX = -1  # sensor_msgs/NavSatStatus
 FAST = 3.0  # m/s from which a course is one
 NEAR = 1.5  # s beyond which a stamp is too far from another
+CLIMB = 2.5  # s
+STEEPEST = math.radians(6.0)  # a road of 10 %: more is an error of the altitudes
+MOST_CHANGES = 3  # a holder that slips more often is taken for one that slips on and on
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +75,36 @@ class GnssMotion:
         """(n,) m/s at stamps ``t`` that the vehicle has at least, NaN far from any message."""
         speed = np.maximum(np.hypot(self.east, self.north) - self.noise, 0.0)
         return np.where(self._near(t) < NEAR, np.interp(t, self.t, speed), np.nan)
+
+    def quiet(self, t: Floats) -> NDArray[np.bool_] | None:
+        """(n,) True at stamps ``t`` where the vehicle neither brakes nor turns; None where that is not known."""
+        if not self.known or self.noise > 0.5:
+            return None
+        grid = np.linspace(self.t[0], self.t[-1], max(3, round((self.t[-1] - self.t[0]) / 0.5) + 1))
+        velocity = np.interp(grid, self.t, self.east) + 1.0j * np.interp(grid, self.t, self.north)
+        return np.asarray(np.interp(t, grid, np.abs(np.gradient(velocity, grid))) < QUIET)
+
+    def slope(self, t: Floats, fix: FixData) -> Floats | None:
+        """(n,) rad of the road at ``t`` by the altitudes of the fixes over ``CLIMB`` s before and after; None where
+        they or the speed are not known."""
+        good = np.isfinite(fix.altitude) & (fix.status != NO_FIX)
+        if not self.known or np.count_nonzero(good) < 4:
+            return None
+        stamps, first = np.unique(fix.t[good], return_index=True)
+        grid = np.arange(max(stamps[0], self.t[0]), min(stamps[-1], self.t[-1]), 0.5)
+        if grid.size < 2:
+            return None
+        altitude = np.interp(grid, stamps, fix.altitude[good][first])
+        speed = np.interp(grid, self.t, np.hypot(self.east, self.north))
+        way = np.concatenate([[0.0], np.cumsum(0.5 * speed[1:])])
+        reach = round(CLIMB / 0.5)
+        low = np.maximum(np.arange(grid.size) - reach, 0)
+        high = np.minimum(np.arange(grid.size) + reach, grid.size - 1)
+        far = way[high] - way[low] > FAST * CLIMB  # on a shorter way the altitudes' errors are slopes, too
+        if not far.any():
+            return None
+        slope = np.arctan2((altitude[high] - altitude[low])[far], (way[high] - way[low])[far])
+        return np.asarray(np.clip(np.interp(t, grid[far], slope), -STEEPEST, STEEPEST))
 
     def acceleration(self, t: Floats, yaw_rate: Floats, place: tuple[float, float, float]) -> Floats:
         """(n, 3) m/s² in the plane at ``place`` in ``base_link``, ahead and to the left, by the vehicle's motion
@@ -133,7 +174,8 @@ def gnss_motion(drive: Drive) -> GnssMotion:
 @dataclass(frozen=True, eq=False)
 class ImuFacts:
     """Facts of a drive's IMU: its ``place``; ``gravity`` m/s²; ``rate_hz``; ``force_bias`` m/s² and ``rate_bias`` rad/s
-    (3,), what was subtracted, ``base_link`` axes; ``gaps`` (k, 2) start and end in s; ``findings``."""
+    (3,), what was subtracted, ``base_link`` axes; ``gaps`` (k, 2) start and end in s; ``findings``; ``turned`` s, the
+    moments at which the sensor turned in its holder."""
 
     place: Place
     gravity: float
@@ -142,6 +184,7 @@ class ImuFacts:
     rate_bias: Floats
     gaps: Floats
     findings: list[Finding]
+    turned: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,19 +282,36 @@ def ingest_drive(drive: Drive, place: Place, settings: ImuSettings | None = None
 
     reading = ImuReading(settings, place, _latitude(drive, settings))
     findings += _listed(reading.take_units(recognise_units(raw_force), raw_force))
+    evidence = rates_in_degrees(windowed(t, reading.scale * raw_force, raw_rate), drive.velocity)
+    findings += _listed(reading.take_rate_units(evidence))
+    raw_rate = reading.rate_scale * raw_rate
     saturated = saturated_samples(reading.scale * raw_force, settings.full_scale)
     saturated |= saturated_samples(raw_rate, settings.full_scale_rate)
     if saturated.any():
         text = f"{int(saturated.sum())} of {t.size} samples sit at the end of the range: set a larger range"
         findings.append(Finding("warn", "saturated", text))
 
-    turn = reading.mounting
+    turn, ground = reading.mounting, gnss_motion(drive)
+    changes = []
+    if not reading.removed:
+        pull = np.zeros_like(raw_force)
+        if ground.known:
+            pull = ground.acceleration(t, raw_rate @ turn[2], place.position)
+            climb = ground.slope(t, drive.fix)
+            pull[:, 0] += 0.0 if climb is None else reading.gravity * np.sin(climb)
+            pull = pull @ turn / reading.scale
+        changes = mounting_changes(t, raw_force - pull, ground, drive.fix)
+    for moment, change in changes:
+        findings.append(change.finding(moment, t[0]))
+        if not change.slow:
+            raw_force, raw_rate = (turned_back(v, t >= moment, change) for v in (raw_force, raw_rate))
+            saturated |= np.abs(t - moment) < WINDOW  # what is measured on the way is not compared
     force, rate = reading.scale * raw_force @ turn.T, raw_rate @ turn.T
-    ground = gnss_motion(drive)
     speed = ground.least_speed(t) if ground.known else None
     standing = standstill_mask(rate_hz, force, rate, settings.still, speed)
-    if len(drive.velocity) < 4 and not reading.removed:
-        standing &= ~_accelerating(t, force, rate, rate_hz, settings.attitude_time)
+    blind = np.ones(t.size, dtype=np.bool_) if len(drive.velocity) < 4 or speed is None else np.isnan(speed)
+    if (blind & standing).any() and not reading.removed:
+        standing &= ~(blind & _accelerating(t, force, rate, rate_hz, settings.attitude_time))
     stands = int(standing.sum()) >= 0.5 * rate_hz
     rate_bias = rate[standing].mean(axis=0) if stands else _driving_bias(ground, t, rate)
     rate = rate - rate_bias
@@ -282,8 +342,44 @@ def ingest_drive(drive: Drive, place: Place, settings: ImuSettings | None = None
         up = smooth_up(t, force - planar, rate, gravity, length)
         vertical = force[:, 2] - gravity * up[:, 2]
     unit = reading.unit  # a sensor in g that is to be left so
-    facts = ImuFacts(place, gravity / unit, rate_hz, reading.bias[:3] / unit, rate_bias, gaps, findings)
+    moments = tuple(moment for moment, change in changes if not change.slow)
+    facts = ImuFacts(
+        place, gravity / unit, rate_hz, reading.bias[:3] / unit, rate_bias, gaps, findings, moments
+    )
     return ImuSignals(t, force / unit, rate, vertical / unit, up, standing, saturated, facts)
+
+
+def mounting_changes(
+    t: Floats, force: Floats, ground: GnssMotion, fix: FixData
+) -> list[tuple[float, MountingChange]]:
+    """Turns of the sensor in its holder by ``force`` (n, 3) at ``t`` (n,), with the moment of each, in the order in
+    which they are to be turned back; the last one is slow where they go on and on."""
+    quiet, slope = ground.quiet(t), ground.slope(t, fix)
+    found: list[tuple[float, MountingChange]] = []
+    while (change := mounting_change(windows_of(t, force, quiet, slope))) is not None:
+        change = replace(change, slow=change.slow or len(found) == MOST_CHANGES)
+        moment = change.moment(t, force)
+        found.append((moment, change))
+        if change.slow:
+            break
+        force = turned_back(force, t >= moment, change)
+    return found
+
+
+def turns_said(drive: Drive) -> list[str]:
+    """A line for each turn of the sensor in its holder during a drive."""
+    imu = drive.imu
+    cleaned = clean_stamps(imu.t, np.asarray(np.isfinite(imu.specific_force).all(axis=1)))
+    force, t = imu.specific_force[cleaned.keep], cleaned.stamps
+    if t.size < 16 or recognise_units(force) == "gravity removed":
+        return []
+    changes = mounting_changes(t, force, gnss_motion(drive), drive.fix)
+    return [change.text(moment, t[0]) for moment, change in changes]
+
+
+def turned_back(vectors: Floats, behind: NDArray[np.bool_], change: MountingChange) -> Floats:
+    """``vectors`` (n, 3) of the sensor, those ``behind`` (n,) the change in its axes before it."""
+    return np.where(behind[:, None], vectors @ change.turn.T, vectors)
 
 
 def _accelerating(t: Floats, force: Floats, rate: Floats, rate_hz: float, time: float) -> NDArray[np.bool_]:

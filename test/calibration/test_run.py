@@ -19,7 +19,7 @@ from suspension_twin.calibration.request import CalibrationRequest, CalibrationR
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.calibration.setup import set_up
 from suspension_twin.drive.read import read_drive
-from suspension_twin.errors import WorkError
+from suspension_twin.errors import InputError, WorkError
 from suspension_twin.inference.gauss_newton import GaussNewton, GaussNewtonSettings, Quadratic
 from suspension_twin.inference.noise import Whitener
 from suspension_twin.inference.observation import observe
@@ -283,13 +283,10 @@ def test_the_paper_preset_searches_table_2_with_its_budget(pass_case: Any) -> No
     assert all(v == 0.0 for _, v in rest)
 
 
-def test_the_tracked_papers_preset_searches_the_mean_correlation_with_its_budget(pass_case: Any) -> None:
-    result = calibrate(
-        CalibrationRequest(pass_case.twin, (pass_case.bag("pass"),), preset="tracked_paper", seed=3)
-    )
-    assert result.evaluations == 40 + 30 * 38
-    assert result.objective == "correlation"
-    assert 0.0 < result.cost < result.initial_cost < 1.0
+def test_the_tracked_papers_preset_is_refused_for_a_car(pass_case: Any) -> None:
+    request = CalibrationRequest(pass_case.twin, (pass_case.bag("pass"),), preset="tracked_paper", seed=3)
+    with pytest.raises(InputError, match="tracked_paper: searches vehicle.track.stiffness .* fast or paper"):
+        calibrate(request)
 
 
 def test_fast_needs_a_tenth_of_the_papers_evaluations(pass_case: Any) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,9 +17,10 @@ from suspension_twin.inference.synthetic import SensorErrors, synthetic_drive
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.pose.imu_gnss_consistency import consistency
 from suspension_twin.road import ReferenceLine, Road, flat_road
+from suspension_twin.road.crg import write_road
 from suspension_twin.signals.attitude import rpy_matrix
 from suspension_twin.signals.offline import ingest_drive
-from suspension_twin.vehicle.twin import EffectSpec, Twin
+from suspension_twin.vehicle.twin import EffectSpec, RoadFile, Twin
 
 KNOTS = [
     (0.0, 0.0),
@@ -138,9 +140,8 @@ def test_a_sound_drive_has_nothing_to_say(drive: Drive, twin: Twin, bumps: Road)
     [
         (lambda d: late(d, 5.0), "5.0 s after the receiver's"),
         (lambda d: late(d, -5.0), "5.0 s before the receiver's"),
-        (lambda d: replace(d, imu=replace(d.imu, angular_rate=np.degrees(d.imu.angular_rate))), "°/s"),
     ],
-    ids=["late", "early", "degrees"],
+    ids=["late", "early"],
 )
 def test_what_no_answer_can_come_from_is_refused_in_one_line(
     drive: Drive, twin: Twin, bumps: Road, spoil: object, says: str
@@ -150,6 +151,14 @@ def test_what_no_answer_can_come_from_is_refused_in_one_line(
         observe(spoilt, twin, bumps, strict=True)
     assert str(told.value).startswith("ride") and "\n" not in str(told.value)
     assert any(says in w for w in observe(spoilt, twin, bumps).warnings)  # to look at, not to learn from
+
+
+def test_rates_in_degrees_are_named_and_converted(drive: Drive, twin: Twin, bumps: Road) -> None:
+    degrees = replace(drive, imu=replace(drive.imu, angular_rate=np.degrees(drive.imu.angular_rate)))
+    sound, found = (observe(d, twin, bumps, strict=True) for d in (drive, degrees))
+    (text,) = set(found.warnings) - set(sound.warnings)
+    assert text.startswith("angular rates come in °/s, taken times π/180") and "imu.rpy" not in text
+    np.testing.assert_allclose(found.signals.rate, sound.signals.rate, atol=1e-9)
 
 
 def test_what_a_diagnosis_may_find_is_a_warning(drive: Drive, twin: Twin, bumps: Road) -> None:
@@ -220,3 +229,57 @@ def test_a_drive_that_hardly_moves_tells_nothing(drive: Drive, twin: Twin) -> No
     assert twin.datum is not None
     short = replace(drive, imu=imu)
     assert consistency(short, ingest_drive(short, twin.imu), twin.gps, twin.datum) is None
+
+
+def in_axes(drive: Drive, roll: float) -> Drive:
+    turn = rpy_matrix((roll, 0.0, 0.0))
+    imu = drive.imu
+    return replace(
+        drive,
+        imu=replace(imu, specific_force=imu.specific_force @ turn, angular_rate=imu.angular_rate @ turn),
+    )
+
+
+def with_force(drive: Drive, scale: float, offset: float = 0.0) -> Drive:
+    force = scale * drive.imu.specific_force + [0.0, 0.0, offset]
+    return replace(drive, imu=replace(drive.imu, specific_force=force))
+
+
+#: A fault, and the words of the one piece of advice that is right about it.
+FAULTS = {
+    "sound": (lambda d: d, None),
+    "g": (lambda d: with_force(d, 1.0 / 9.80665), "come in g"),
+    "times ten": (lambda d: with_force(d, 10.0), "check units and scale"),
+    "removed": (lambda d: with_force(d, 1.0, -9.81), "gravity is already removed"),
+    "degrees": (
+        lambda d: replace(d, imu=replace(d.imu, angular_rate=np.degrees(d.imu.angular_rate))),
+        "come in °/s",
+    ),
+    "clock": (lambda d: late(d, 4.0), "give both one clock"),
+    "yaw": (lambda d: facing(d, -1.5708), "about the vertical against imu.rpy"),
+    "roll": (lambda d: in_axes(d, 1.0), "off z"),
+    "mirrored": (lambda d: mirrored(d, (1.0, -1.0, 1.0), (-1.0, 1.0, -1.0)), "mirrored"),
+    "rates": (lambda d: mirrored(d, (1.0, 1.0, 1.0), (-1.0, -1.0, -1.0)), "other way"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_each_fault_gets_its_own_advice_and_no_other(winding: Drive, twin: Twin, fault: str) -> None:
+    spoil, right = FAULTS[fault]
+    said = [w for w in observe(spoil(winding), twin, flat_road()).warnings if "off the road" not in w]
+    others = [words for _, words in FAULTS.values() if words and words != right]
+    assert right is None or any(right in line for line in said), said
+    assert not any(words in line for line in said for words in others), said
+    if fault not in ("yaw", "roll"):
+        assert not any("imu.rpy" in line for line in said), said
+
+
+def test_a_map_that_starts_anywhere_is_said_instead_of_the_road(
+    drive: Drive, twin: Twin, bumps: Road, tmp_path: Path
+) -> None:
+    write_road(bumps, tmp_path / "road.crg")
+    placed = twin.model_copy(update={"road": RoadFile(file=tmp_path / "road.crg")})
+    assert not any("datum" in w for w in observe(drive, placed).warnings)
+    nowhere = observe(drive, placed.model_copy(update={"datum": None}))
+    assert [w for w in nowhere.warnings if "no datum: the map starts at the first fix" in w]
+    assert not any("off the road" in w for w in nowhere.warnings)

@@ -8,14 +8,17 @@ import math
 import numpy as np
 import pytest
 
+from suspension_twin.drive.units import recognise_units
 from suspension_twin.signals.attitude import rpy_matrix
 from suspension_twin.signals.checks import (
+    EXCLUDES,
+    Finding,
     check_axes,
     check_mounting,
     check_rate,
     check_units,
-    recognise_units,
     saturated_samples,
+    told,
 )
 
 RANDOM = np.random.default_rng(7)
@@ -107,3 +110,25 @@ def test_saturation_with_a_known_range() -> None:
     # A converter's last step may lie a little inside the range.
     assert np.array_equal(saturated_samples(clipped, 12.0), (np.abs(ROUGH) >= 0.9995 * 12.0).any(axis=1))
     assert np.array_equal(saturated_samples(clipped, 12.003), (np.abs(ROUGH) >= 0.9995 * 12.003).any(axis=1))
+
+
+@pytest.mark.parametrize(
+    ("cause", "left"), [(c, other) for c, row in EXCLUDES.items() for other in sorted(row)]
+)
+def test_what_a_finding_explains_is_not_advised(cause: str, left: str) -> None:
+    both = [
+        Finding("warn", left, "set imu.rpy"),
+        Finding("error", cause, "the cause"),
+        Finding("ok", "rate", ""),
+    ]
+    assert [f.code for f in told(both)] == [cause, "rate"]
+    assert told(both[:1]) == both[:1]  # alone it is said
+
+
+def test_no_two_findings_silence_each_other() -> None:
+    order = list(EXCLUDES)
+    for row, excluded in EXCLUDES.items():
+        assert not any(
+            other in order and order.index(other) < order.index(row) for other in excluded - {"clocks"}
+        )
+        assert not any(row in EXCLUDES.get(other, ()) for other in excluded)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from suspension_twin.cli.main import main
+from suspension_twin.drive.read import read_drive
 from suspension_twin.vehicle.new import Sizes, resized
 from suspension_twin.vehicle.twin import load_twin
 
@@ -39,7 +40,7 @@ def test_a_resized_car_has_the_natural_frequencies_of_the_first(mondeo_file):
 
 def test_questions_are_asked_and_wrong_answers_asked_again(repository, tmp_path):
     answers = ["Opel Corsa", "light", "1180", "2.49", "", "1.45", "1.4", "0.3", "1.15", "", "", "1.48"]
-    answers += ["no.crg", str(repository / "bags" / "bump_15kmh" / "road.crg")]
+    answers += ["no.crg", str(repository / "bags" / "bump_15kmh" / "road.crg"), "here", "-33.9, 70.6"]
     command = [sys.executable, "-m", "suspension_twin", "new", "--out", str(tmp_path / "twin.yaml")]
     done = subprocess.run(
         command, input="\n".join(answers) + "\n", capture_output=True, text=True, timeout=60
@@ -52,6 +53,32 @@ def test_questions_are_asked_and_wrong_answers_asked_again(repository, tmp_path)
     assert twin.vehicle.front_track == 1.588 and twin.vehicle.rear_track == 1.45
     assert twin.imu.position == (1.4, 0.3, 1.15) and twin.gps.position == (0.0, 0.0, 1.48)
     assert twin.road.file.resolve() == repository / "bags" / "bump_15kmh" / "road.crg"
+    assert "two numbers are needed" in done.stderr
+    assert (twin.datum.latitude, twin.datum.longitude) == (-33.9, 70.6)
+
+
+@pytest.mark.parametrize("ready", [True, False])
+def test_the_datum_is_that_of_a_drive_or_said_to_be_missing(repository, tmp_path, ready):
+    """Never that of the car whose numbers were taken."""
+    road, drive = (repository / "bags" / "bump_15kmh" / name for name in ("road.crg", "."))
+    fix = read_drive(drive).fix
+    answers = [] if ready else [""] * 12
+    for more in ([], ["--drive", str(drive)]):
+        command = [
+            sys.executable,
+            "-m",
+            "suspension_twin",
+            "new",
+            "--out",
+            str(tmp_path / "twin.yaml"),
+            "--force",
+        ]
+        command += ["--road", str(road), *(["--from", "bmw_320i"] if ready else []), *more]
+        done = subprocess.run(command, input="\n".join(answers), capture_output=True, text=True, timeout=60)
+        assert done.returncode == 0, done.stderr
+        datum = load_twin(tmp_path / "twin.yaml").datum
+        assert ("no datum: the map starts at the first fix" in done.stdout) == (not more)
+        assert (None if datum is None else datum.latitude) == (fix.latitude[0] if more else None)
 
 
 def test_from_a_ready_one_with_a_road(repository, tmp_path, capsys):

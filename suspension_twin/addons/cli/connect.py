@@ -28,7 +28,7 @@ from suspension_twin.addons.sources import LiveSource, make_sources
 from suspension_twin.addons.sources.common.assess import assess, verdict
 from suspension_twin.addons.sources.common.connection import parse_address
 from suspension_twin.addons.sources.common.hub import Hub, Packet
-from suspension_twin.addons.sources.common.report import discover
+from suspension_twin.addons.sources.common.report import discover, findings
 from suspension_twin.addons.sources.common.runner import running
 from suspension_twin.addons.sources.common.server import PushServer
 from suspension_twin.addons.sources.phyphox import Phyphox
@@ -100,8 +100,9 @@ async def _experiment(sources: Sequence[LiveSource]) -> AsyncIterator[None]:
         await server.stop()
 
 
-def _judged(packets: Sequence[Packet]) -> list[Text]:
-    """The findings on these samples and the verdict, a line each."""
+def _judged(packets: Sequence[Packet], hub: Hub) -> list[Text]:
+    """The findings on these samples and the verdict, a line each; ``hub`` knows which sensor is not switched on."""
+    absent = (f.text for f in findings(hub, hub.now()) if f.code.startswith("missing"))
     samples = [packet.samples for packet in packets]
     imu = [s for s in samples if isinstance(s, ImuData)]
     fix = [s for s in samples if isinstance(s, FixData)]
@@ -110,6 +111,7 @@ def _judged(packets: Sequence[Packet]) -> list[Text]:
         ImuData.joined(imu or [ImuData(np.empty(0), np.empty((0, 3)), np.empty((0, 3)))]),
         FixData.joined(fix or [FixData.empty()]),
         VelocityData.joined(velocity or [VelocityData.empty()]),
+        next(absent, ""),
     )
     return [styled(finding) for finding in [*found, verdict(found)]]
 
@@ -127,11 +129,11 @@ async def _watch(hub: Hub, console: Console, seconds: float | None) -> None:
             return []
         if not hub.chosen:
             return [Text("Waiting for the first samples ...")]
-        return [*device_lines(hub, "bold", ""), *(_judged(packets) if ready else [])]
+        return [*device_lines(hub, "bold", ""), *(_judged(packets, hub) if ready else [])]
 
     with LiveLines(hub, console, _LOG_PERIOD) as live:
         async for _ in until_ended(seconds):
             packets = [p for p in packets if p.arrival > hub.now() - _WINDOW] + hub.take()
             live.show(lines)
     if not shown and hub.chosen:
-        live.say([*device_lines(hub, "bold", ""), *_judged(packets)])
+        live.say([*device_lines(hub, "bold", ""), *_judged(packets, hub)])

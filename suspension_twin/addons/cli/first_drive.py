@@ -77,6 +77,7 @@ def command(
     from suspension_twin.calibration.request import CalibrationRequest
     from suspension_twin.calibration.run import calibrate
     from suspension_twin.files import together
+    from suspension_twin.inference.observation import NO_DATUM
     from suspension_twin.vehicle.twin import load_twin
 
     urls = source or [DEFAULT_SOURCE]
@@ -85,10 +86,13 @@ def command(
     request = CalibrationRequest(
         str(twin), (str(record),), preset=preset_named(preset).name, seed=seed, max_generations=generations
     )
-    guide = FirstDrive(load_twin(twin), passes)
+    loaded = load_twin(twin)
+    guide = FirstDrive(loaded, passes)
     hub = Hub()
     sources = make_sources(urls, hub)
     outputs.announce()
+    if loaded.datum is None:
+        output().print(f"{twin}: {NO_DATUM.text}", style="yellow", markup=False)
     later = f"suspension-twin calibrate --twin {twin} {record} --out {out}"
     with LiveRecorder(record, overwrite=force) as recorder:
         try:

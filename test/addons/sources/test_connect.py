@@ -115,8 +115,41 @@ def test_what_will_not_do_is_told(bump: Drive, change, code: str, words: str) ->
 def test_the_mounting_is_told(bump: Drive, axes, words: str, rpy: str) -> None:
     imu = at_rest()
     turned = ImuData(imu.t, imu.specific_force @ np.array(axes, dtype=float), imu.angular_rate)
-    text = judged(bump, imu=turned)["mounting"].text
+    text = judged(bump, imu=turned, velocity=VelocityData.empty())["mounting"].text
     assert text.startswith(words) and f"imu.rpy: {rpy}" in text
+
+
+def test_in_a_bend_there_is_no_advice_on_the_mounting(bump: Drive) -> None:
+    imu = at_rest()
+    force = imu.specific_force + [0.0, 3.0, 0.0] + 0.3 * np.sin(9.0 * imu.t)[:, None]
+    text = judged(bump, imu=replace(imu, specific_force=force), velocity=VelocityData.empty())[
+        "mounting"
+    ].text
+    assert text == "mounting: lying face up"
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            lambda imu: replace(imu, specific_force=imu.specific_force / 9.80665),
+            "units: g; gravity 1.00 g on +z",
+        ),
+        (lambda imu: replace(imu, specific_force=imu.specific_force - [0.0, 0.0, 9.81]), "no gravity"),
+    ],
+)
+def test_gravity_is_said_in_its_own_unit(bump: Drive, change, words: str) -> None:
+    found = judged(bump, imu=change(at_rest()), velocity=VelocityData.empty())
+    assert words in found["gravity"].text and ("mounting" in found) == ("g;" in words)
+
+
+def test_a_sensor_that_is_off_is_named() -> None:
+    nothing = ImuData(np.empty(0), np.empty((0, 3)), np.empty((0, 3)))
+    why = "its acceleration is without gravity: switch the sensor Gravity (or Total Acceleration) on, too"
+    (text,) = [
+        f.text for f in assess(nothing, FixData.empty(), VelocityData.empty(), why) if f.code == "no_imu"
+    ]
+    assert text == f"IMU: no samples; {why}"
 
 
 def test_a_phone_at_rest_tells_its_noise(bump: Drive) -> None:

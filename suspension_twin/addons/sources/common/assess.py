@@ -9,16 +9,27 @@ from typing import Final, Literal
 
 import numpy as np
 
-from suspension_twin.drive.checks import gravity_of, rhythm_of
+from suspension_twin.arrays import Floats
+from suspension_twin.drive.checks import Gravity, gravity_of, rhythm_of
 from suspension_twin.drive.types import FixData, ImuData, VelocityData
+from suspension_twin.drive.units import Units, rates_in_degrees, recognise_units, windowed
 from suspension_twin.signals.attitude import level_rpy
-from suspension_twin.signals.checks import Finding, check_axes, check_rate, check_units, recognise_units
+from suspension_twin.signals.checks import (
+    Finding,
+    check_axes,
+    check_rate,
+    check_rate_units,
+    check_units,
+    told,
+)
 from suspension_twin.signals.imu import StillLimits, standstill_mask, white_noise
 
 __all__ = ["assess", "verdict"]
 
 #: Standard deviation in m up to which a position tells where on a bump (0.9 m long in the car paper) a wheel is.
 _ON_A_BUMP: Final = 0.1
+#: Units of acceleration that show gravity, as they are written.
+_UNIT: Final[dict[Units, str]] = {"m/s2": "m/s²", "g": "g"}
 #: How a phone with this axis upwards is held; x to the right of its screen, y up, z out of it.
 _HELD: Final = {
     "+y": "upright",
@@ -30,14 +41,16 @@ _HELD: Final = {
 }
 
 
-def assess(imu: ImuData, fix: FixData, velocity: VelocityData) -> list[Finding]:
-    """Findings on some seconds of samples, a line each."""
-    return [*_imu(imu, velocity), *_positions(fix, velocity)]
+def assess(imu: ImuData, fix: FixData, velocity: VelocityData, missing: str = "") -> list[Finding]:
+    """Findings on some seconds of samples, a line each; ``missing`` says why there are no IMU samples, if that is
+    known."""
+    return [*_imu(imu, velocity, missing), *_positions(fix, velocity)]
 
 
-def _imu(imu: ImuData, velocity: VelocityData) -> list[Finding]:
+def _imu(imu: ImuData, velocity: VelocityData, missing: str) -> list[Finding]:
     if len(imu) < 50:
-        return [Finding("error", "no_imu", "IMU: no samples; switch accelerometer and gyroscope on")]
+        text = f"IMU: no samples; {missing or 'switch accelerometer and gyroscope on'}"
+        return [Finding("error", "no_imu", text)]
     order = np.argsort(imu.t, kind="stable")
     t, force, rate = imu.t[order], imu.specific_force[order], imu.angular_rate[order]
     rhythm, gravity, units = rhythm_of(t), gravity_of(force), recognise_units(force)
@@ -45,6 +58,8 @@ def _imu(imu: ImuData, velocity: VelocityData) -> list[Finding]:
     per_second = (rhythm.count - 1) / rhythm.duration if rhythm.duration else 0.0
     found = [Finding("ok", "rate", f"IMU: {rhythm.rate:.1f} Hz, {gaps}")]
     wrong = [check_rate(rhythm.rate), check_units(units, gravity.size)]
+    if (np.diff(t) > 0).any():
+        wrong.append(check_rate_units(rates_in_degrees(windowed(t, force, rate), velocity), True))
     if not rhythm.gaps and per_second < 0.9 * rhythm.rate:
         wrong.append(
             Finding("warn", "lossy", f"IMU: {per_second:.1f} samples a second arrive, some are lost")
@@ -53,7 +68,7 @@ def _imu(imu: ImuData, velocity: VelocityData) -> list[Finding]:
         Finding(
             "ok",
             "gravity",
-            f"units: {'m/s²' if units == 'm/s2' else units}; gravity {gravity.size:.2f} m/s² on {gravity.axis}",
+            f"units: {_UNIT.get(units, units)}; {_size(units, gravity)}",
         )
     )
     speed = None
@@ -65,21 +80,32 @@ def _imu(imu: ImuData, velocity: VelocityData) -> list[Finding]:
         if usable
         else np.zeros(len(t), dtype=np.bool_)
     )
-    roll, pitch, _ = level_rpy((force[still] if still.any() else force).mean(axis=0))
-    found.append(
-        Finding(
-            "warn" if gravity.axis in ("-y", "-z") else "ok",
-            "mounting",
-            f"mounting: {_HELD[gravity.axis]}, {math.degrees(gravity.tilt):.0f}° off that axis; in the twin file "
-            f"imu.rpy: [{roll:.3f}, {pitch:.3f}, 0] (its third number, the direction, is not seen at rest)",
-        )
-    )
+    if units in _UNIT:
+        found.append(_mounting(gravity_of(force[still]) if still.any() else gravity, force[still]))
     if still.any():
         noise = white_noise(force[still])
         found.append(Finding("ok", "still", f"standing still: noise {noise:.3f} m/s² on each axis"))
     else:
         found.append(Finding("ok", "moving", "moving: stand still for some seconds before you drive off"))
-    return [*found, *(f for f in wrong if f is not None), *check_axes(force, rate)]
+    return told([*found, *(f for f in wrong if f is not None), *check_axes(force, rate)])
+
+
+def _size(units: Units, gravity: Gravity) -> str:
+    if units == "gravity removed":
+        return f"mean {gravity.size:.2f} m/s², no gravity"
+    return f"gravity {gravity.size:.2f}{f' {_UNIT[units]}' if units in _UNIT else ''} on {gravity.axis}"
+
+
+def _mounting(gravity: Gravity, at_rest: Floats) -> Finding:
+    """How the phone is held; its roll and pitch only ``at_rest`` (n, 3), because bends and brakes tilt as well."""
+    text = f"mounting: {_HELD[gravity.axis]}"
+    if len(at_rest):
+        roll, pitch, _ = level_rpy(at_rest.mean(axis=0))
+        text += (
+            f", {math.degrees(gravity.tilt):.0f}° off that axis; in the twin file imu.rpy: [{roll:.3f}, {pitch:.3f}, "
+            "0] (its third number, the direction, is not seen at rest)"
+        )
+    return Finding("warn" if gravity.axis in ("-y", "-z") else "ok", "mounting", text)
 
 
 def _positions(fix: FixData, velocity: VelocityData) -> list[Finding]:
