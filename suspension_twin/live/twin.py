@@ -80,7 +80,7 @@ class DigitalTwin:
     ingest: ImuIngest | None = None
     lock: PoseLock | None = None
     follower: Follower | None = None
-    places: LivePlaces = field(default_factory=LivePlaces, init=False, repr=False)
+    _places: LivePlaces = field(default_factory=LivePlaces, init=False, repr=False)
     _newest: dict[str, float] = field(default_factory=dict, repr=False)
 
     def push_imu(self, t: float, force: Vector, rate: Vector) -> Update | None:
@@ -94,13 +94,18 @@ class DigitalTwin:
         measured = BodyAcceleration(sample.acceleration, sample.angular_acceleration)
         return Update(sample, pose, self.follow(t, pose, measured))
 
+    def is_held(self, t: float, latitude: float, longitude: float, status: int) -> bool:
+        """Whether a fix at ``t`` s repeats the place of the one before it although the receiver had computed none; to
+        be asked once for each."""
+        return self._places.repeats(t, (latitude, longitude, float(status)))
+
     def push_fix(
         self, t: float, latitude: float, longitude: float, altitude: float, status: int = 0, *sigmas: float
     ) -> None:
         """One fix at ``t`` s: degrees, m; ``status`` as in sensor_msgs/NavSatStatus, ``sigmas`` east and north in m
         (none: not known). It is passed over where the receiver only holds it until it has computed another."""
         self._follow_clock("fix", t)
-        if self.lock is not None and not self.places.repeats(t, (latitude, longitude, float(status))):
+        if self.lock is not None and not self.is_held(t, latitude, longitude, status):
             self.lock.on_fix(t, latitude, longitude, altitude, status, *sigmas)
 
     def push_velocity(self, t: float, east: float, north: float) -> None:
@@ -138,7 +143,7 @@ class DigitalTwin:
     def reset(self) -> None:
         """Forget everything but settings and datum."""
         self._newest.clear()
-        self.places = LivePlaces()
+        self._places = LivePlaces()
         for stage in (self.ingest, self.lock, self.follower):
             if stage is not None:
                 stage.reset()

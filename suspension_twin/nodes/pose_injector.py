@@ -151,7 +151,7 @@ class PoseInjectorNode(TwinNode):
         # Not set (-2 in Jazzy) is not the same as no fix (-1): the position is there.
         status = 0 if message.status.status < -1 else message.status.status
         place = message.latitude, message.longitude, message.altitude
-        if not self.twin.places.repeats(ns / 1e9, (*place[:2], float(status))):
+        if not self.twin.is_held(ns / 1e9, *place[:2], status):
             self._lock.on_fix(ns / 1e9, *place, status, *sigmas_of(message))
 
     def _on_velocity(self, message: TwistStamped, ns: int) -> None:

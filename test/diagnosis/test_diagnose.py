@@ -137,7 +137,7 @@ def test_a_healthy_twin_is_handed_back_as_it_came(make: Any, car: Twin, tmp_path
     assert (tmp_path / "twin.yaml").read_bytes() == given.read_bytes()
 
 
-def test_a_clock_offset_that_the_twin_file_has_is_no_gap(make: Any, tmp_path: Path) -> None:
+def test_a_clock_offset_that_the_twin_file_has_is_none(make: Any, tmp_path: Path) -> None:
     """Without it in the file 60 ms are named as a clock offset, as another test shows."""
     twin, bags, _ = make()
     save_twin(load_twin(twin).with_changes({"imu.latency": 0.06}), tmp_path / "twin.yaml")
@@ -146,7 +146,7 @@ def test_a_clock_offset_that_the_twin_file_has_is_no_gap(make: Any, tmp_path: Pa
         write_drive(SensorCorrection(clock=-0.06).timed(read_drive(bag)), folder)
     document = diagnose(ask((tmp_path / "twin.yaml", [str(folder) for folder in late], []))).document
     check(document)
-    assert document["verdict"] == "no_gap", document["message"]
+    assert document["verdict"] == "recalibration", document["message"]
     assert "time_offset" not in document["combination"]
 
 

@@ -88,6 +88,7 @@ class Mqtt(PlainSource):
         """See :class:`~suspension_twin.addons.sources.LiveSource`."""
         self._client.disconnect()
         await asyncio.to_thread(self._client.loop_stop)
+        self.phones.finish()
 
     # On the client's thread
 

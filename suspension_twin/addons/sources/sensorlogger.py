@@ -67,6 +67,7 @@ class SensorLogger(PlainSource):
     async def stop(self) -> None:
         """See :class:`~suspension_twin.addons.sources.LiveSource`."""
         await self.server.stop()
+        self.phones.finish()
 
 
 #: See ``SourceModule``.

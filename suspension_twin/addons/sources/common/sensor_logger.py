@@ -293,8 +293,16 @@ class _Phone:
             self._next = first
             self._follow()
         if self._undecided and now - self._undecided[0].arrival > _UNDECIDED:
-            self.axes.give_up()
-            self._go_on()
+            self._give_up()
+
+    def finish(self) -> None:
+        """Hand on all that still waits: nothing more comes."""
+        self.release()
+        self._give_up()
+
+    def _give_up(self) -> None:
+        self.axes.give_up()
+        self._go_on()
 
     def release(self) -> None:
         """Use what still waits."""
@@ -405,6 +413,11 @@ class Phones:
         """Go on without messages that have not come until ``now`` s."""
         for phone in list(self._phones.values()):
             phone.tick(now)
+
+    def finish(self) -> None:
+        """Hand on what still waits, of all phones."""
+        for phone in list(self._phones.values()):
+            phone.finish()
 
     async def run(self) -> None:
         """Look some times a second for messages that have not come."""
