@@ -279,7 +279,7 @@ def write(result: DiagnosisResult, folder: Path) -> None:
     """
     write_text(folder / "evidence.json", json.dumps(result.evidence, allow_nan=False) + "\n")
     write_document(result.document, folder)
-    hand_on(result.twin, Path(result.evidence["twin"]), folder / "twin.yaml")
+    hand_on(result.twin, Path(result.evidence.get("twin", "")), folder / "twin.yaml")
 
 
 def hand_on(twin: Twin, given: Path, path: Path) -> None:

@@ -38,7 +38,8 @@ def usable(drive: Observation, mask: np.ndarray) -> Observation:
 def driven_at(drive: Observation, speed: np.ndarray) -> Observation:
     """The drive at other speeds (m,) in m/s."""
     source = drive.source
-    path = replace(source.trajectory, speed=np.interp(source.trajectory.t, drive.t, speed))
+    ahead = np.interp(source.trajectory.t, drive.t, speed)
+    path = replace(source.trajectory, velocity=np.column_stack([ahead, 0.0 * ahead]))
     return replace(drive, reading=replace(source, trajectory=path))
 
 

@@ -81,7 +81,7 @@ def test_one_message_of_each_topic_for_every_imu_sample_at_its_stamp(case: Path,
         "/joint_states",
     }
     for rows in topics.values():
-        assert sorted(stamps(rows)) == sorted(stamps(recorded))
+        assert sorted(stamps(rows)) == sorted(set(stamps(recorded)))  # one that is there twice is taken once
     assert (written / "simulated" / "metadata.yaml").is_file()
 
 
