@@ -16,6 +16,7 @@ import pytest
 TABLES = {
     "blind": r"picture: ",
     "calibration": r"pymoo GA",
+    "demo": r"over the fixed work",
     "diagnosis": r"two drives with the gap +library .* s, processor",
     "discrepancy": r"linear filters of the road",
     "export": r"communication step, ms +times real time",
@@ -75,6 +76,7 @@ LONGEST = {
     "blind",
     "calibration",
     "diagnosis",
+    "demo",
     "discrepancy",
     "fleet",
     "measured",
