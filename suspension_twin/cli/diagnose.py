@@ -165,15 +165,12 @@ def checked_effects(names: list[str] | None) -> tuple[str, ...]:
 
 def _anew(folder: Path, costs: Costs, out: Path | None, force: bool) -> None:
     """Decide anew from kept evidence; ``out`` receives diagnosis.json, and twin.yaml if the twin file still exists."""
-    from suspension_twin.diagnosis.answer import decided_anew, write_document
-    from suspension_twin.vehicle.twin import save_twin
+    from suspension_twin.diagnosis.answer import decided_anew, write_anew
 
     document, twin = decided_anew(folder, costs)
     if out is not None:
         outputs = Outputs(out / "diagnosis.json", out / "twin.yaml", force=force)
         outputs.announce()
         with outputs:
-            write_document(document, out)
-            if twin is not None:
-                save_twin(twin, out / "twin.yaml")
+            write_anew(document, twin, folder, out)
     print_diagnosis(document, out)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -282,24 +283,29 @@ def write(result: DiagnosisResult, folder: Path) -> None:
     hand_on(result.twin, Path(result.evidence.get("twin", "")), folder / "twin.yaml")
 
 
+def write_anew(document: Json, twin: Twin | None, kept: Path, folder: Path) -> None:
+    """Write ``diagnosis.json``, and ``twin.yaml`` where there is a twin, of what :func:`decided_anew` made of
+    ``kept``."""
+    write_document(document, folder)
+    if twin is not None:
+        hand_on(twin, Path(_read(kept / "evidence.json")["twin"]), folder / "twin.yaml")
+
+
 def hand_on(twin: Twin, given: Path, path: Path) -> None:
     """Write ``twin`` to ``path``: the text of the ``given`` file where it is the twin of that file, paths in it as they
     are from the new place."""
     if not given.is_file() or load_twin(given) != twin:
         save_twin(twin, path)
         return
-    text, moved = given.read_text(encoding="utf-8"), given.parent.resolve() != path.parent.resolve()
-    files: list[Path] = []
-
-    def noted(file: Path) -> Path:
-        files.append(file)
-        return file
-
-    twin.with_paths(noted)
-    for file in files if moved else ():
-        here, there = (Path(os.path.relpath(file, p.parent.resolve())).as_posix() for p in (given, path))
-        text = text.replace(here, there)
+    text = given.read_text(encoding="utf-8")
+    if twin.road is not None and given.parent.resolve() != path.parent.resolve():
+        here, there = (
+            Path(os.path.relpath(twin.road.file, p.parent.resolve())).as_posix() for p in (given, path)
+        )
+        text = re.sub(rf"(\bfile: *[\"']?)(\./)?{re.escape(here)}(?![\w./-])", rf"\g<1>{there}", text)
     write_text(path, text)
+    if load_twin(path) != twin:  # the path is written otherwise
+        save_twin(twin, path)
 
 
 def write_document(document: Json, folder: Path) -> None:

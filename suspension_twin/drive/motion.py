@@ -28,13 +28,15 @@ __all__ = ["LEAST_CORRELATION", "CommonMotion", "on_one_clock"]
 
 Complexes: TypeAlias = NDArray[np.complex128]
 
-#: What is needed for an answer: velocities, rms of their acceleration in m/s², speed in m/s, correlation.
+#: Tolerances, set by hand: what is needed for an answer: velocities, rms of their acceleration in m/s², speed in m/s,
+#: correlation.
 _LEAST, _EXCITED, _MOVING, LEAST_CORRELATION = 20, 0.2, 1.0, 0.75
 #: Beyond this interval in s between velocities nothing is averaged.
 _APART: Final = 2.5
-#: By how much the correlation with a clock that is off has to exceed that with one that is right.
+#: By how much the correlation with a clock that is off has to exceed that with one that is right (tolerance, by hand).
 _MARGIN: Final = 0.15
-#: s by which IMU and receiver may be apart besides, and the step in which that is tried.
+#: s by which IMU and receiver may be apart besides, more than a phone's receiver is late (0.4 s), and the step in which
+#: that is tried.
 _REACH, _STEP = 1.5, 0.1
 
 

@@ -33,7 +33,7 @@ _SLOWEST: Final = 1.0
 _MOVING: Final = 5.0
 #: Parts of the interval between two computed positions. A position that is repeated after the first, or later, is a
 #: computed one of a vehicle that stands, given at the receiver's own pace. Of those given at another pace one is taken
-#: for computed that comes when the next one is overdue by the second.
+#: for computed that comes when the next one is overdue by the second (tolerances, by hand).
 _OWN_PACE, _OVERDUE = 2 / 3, 0.5
 _METRES: Final = math.radians(6_371_000.0)  # m of a degree on the mean sphere
 #: Intervals between positions that a live stream is judged by, and how many are needed.
@@ -44,9 +44,8 @@ def held_places(fix: FixData) -> Bools:
     """Which fixes (n,) repeat the place of the one before them although the receiver had not computed a new one.
 
     The interval between two computed positions is the median of those between different ones, a second where there are
-    too few. Places that are repeated
-    while the vehicle moves are held. A vehicle that stands has one place for long, too, of which one in each interval
-    stays: the stream has no hole there.
+    too few. Places that are repeated while the vehicle moves are held. A vehicle that stands has one place for long,
+    too, of which one in each interval stays: the stream has no hole there.
     """
     step, places = np.diff(fix.t), np.column_stack([fix.latitude, fix.longitude, fix.status])
     same = np.concatenate([[False], (np.diff(places, axis=0) == 0).all(axis=1)])[: len(fix)]

@@ -28,7 +28,7 @@ Bools: TypeAlias = NDArray[np.bool_]
 
 #: A stamp this many seconds behind the newest is a clock set back (a looped bag), not a late message.
 JUMP_BACK: Final = 1.0
-#: So many samples that stay behind are a clock set back; fewer are strays.
+#: So many samples that stay behind are a clock set back; fewer are strays (tolerance, by hand).
 _STAY_BEHIND: Final = 5
 #: s: 1973. Before it a clock counts from its start.
 _NEVER_SET: Final = 1e8
@@ -40,7 +40,7 @@ _WRAPS: Final = sorted(2.0**bits * unit for bits in (16, 24, 32) for unit in (1e
 #: A pause is at most so many times as long as what was recorded on its shorter side: a day of it beside 90 s. A single
 #: sample at 100 Hz is a stray from 10 s on, as it is beside its time of recording.
 _LONGEST_PAUSE: Final = 1000.0
-#: What a sample covers at least, in s.
+#: What a sample covers at least, in s: one at 100 Hz.
 _SHORTEST_STEP: Final = 0.01
 #: Packets are regular where so large a share of them at most has a size that differs by more than this share, or by one
 #: sample (stamps that are rounded).

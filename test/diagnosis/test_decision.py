@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from suspension_twin.cli.main import main
-from suspension_twin.diagnosis.answer import answer_of
+from suspension_twin.diagnosis.answer import answer_of, hand_on
 from suspension_twin.diagnosis.decision import (
     FEATURES,
     USES,
@@ -29,6 +29,7 @@ from suspension_twin.diagnosis.decision import (
     usual_level,
 )
 from suspension_twin.errors import InputError
+from suspension_twin.vehicle.twin import RoadFile, Twin, load_twin, save_twin
 
 PARAMETERS = {"strut_friction": ("front_force", "rear_force"), "payload": ("mass", "x", "y")}
 SIZE = {"value": 200.0, "far": 0.5, "bound": False}
@@ -1039,3 +1040,23 @@ def test_shapes_that_are_no_causes_are_unknown() -> None:
     assert [a.row for a in found.answers][2:4] == rows
     assert found.unknown == pytest.approx(found.probability[1:4].sum()) and set(found.effects) == {"payload"}
     assert found.chosen == ("unknown",) and found.row is None
+
+
+@pytest.mark.parametrize("name", ["road.crg", "./road.crg", "a"])
+def test_a_twin_handed_on_keeps_the_text_of_its_file_and_finds_its_road(
+    name: str, mondeo: Twin, tmp_path: Path
+) -> None:
+    """Also where the path of the road stands elsewhere in the text, as a part of other words."""
+    given = tmp_path / "given.yaml"
+    road = RoadFile(file=(tmp_path / name).resolve())
+    save_twin(mondeo.model_copy(update={"road": road}), given)
+    text = "# weighed in May\n" + given.read_text().replace(f"file: {Path(name)}", f"file: {name}")
+    given.write_text(text)
+    twin = load_twin(given)
+    hand_on(twin, given, tmp_path / "same.yaml")
+    assert (tmp_path / "same.yaml").read_bytes() == given.read_bytes()
+    hand_on(twin, given, tmp_path / "out" / "twin.yaml")
+    assert load_twin(tmp_path / "out" / "twin.yaml") == twin
+    changed = twin.with_changes({"vehicle.mass": 1800.0})
+    hand_on(changed, given, tmp_path / "out" / "twin.yaml")
+    assert load_twin(tmp_path / "out" / "twin.yaml") == changed
