@@ -133,7 +133,10 @@ class Costs:
         for item in filter(None, (i.strip() for i in text.split(","))):
             name, _, value = (part.strip() for part in item.partition("="))
             if name not in known:
-                raise InputError("costs", name, f"is not one of {', '.join(sorted(known))}")
+                uses = " or ".join(USES)
+                raise InputError(
+                    "costs", name, f"is not one of {', '.join(sorted(known))}, nor a use ({uses})"
+                )
             try:
                 given[name] = float(value)
             except ValueError:
