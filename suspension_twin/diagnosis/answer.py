@@ -16,7 +16,7 @@ from suspension_twin.diagnosis.decision import Costs, Decision, decide, single, 
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult
 from suspension_twin.errors import InputError
 from suspension_twin.files import Json, reading, write_text
-from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin, save_twin
+from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin, save_twin, twin_of_text
 
 __all__ = ["answer_of", "continued", "decided_anew", "leading_channel", "rounded", "write", "write_document"]
 
@@ -303,8 +303,9 @@ def hand_on(twin: Twin, given: Path, path: Path) -> None:
             Path(os.path.relpath(twin.road.file, p.parent.resolve())).as_posix() for p in (given, path)
         )
         text = re.sub(rf"(\bfile: *[\"']?)(\./)?{re.escape(here)}(?![\w./-])", rf"\g<1>{there}", text)
-    write_text(path, text)
-    if load_twin(path) != twin:  # the path is written otherwise
+    if twin_of_text(text, path) == twin:
+        write_text(path, text)
+    else:  # the file writes the path of its road in another way
         save_twin(twin, path)
 
 

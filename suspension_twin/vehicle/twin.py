@@ -21,7 +21,7 @@ from pydantic import Field, field_validator, model_validator
 from suspension_twin.arrays import Floats
 from suspension_twin.display import axes_or_new, bulleted
 from suspension_twin.errors import InputError, nearest, shown
-from suspension_twin.files import read_yaml, reading, write_text
+from suspension_twin.files import parse_yaml, read_yaml, reading, write_text
 from suspension_twin.registry import Registry, missing_addons
 from suspension_twin.schema import Strict, checked, problems, within
 from suspension_twin.units import STANDARD_GRAVITY as G
@@ -55,6 +55,7 @@ __all__ = [
     "load_twin",
     "parse_twin",
     "save_twin",
+    "twin_of_text",
     "value_at",
     "wheels_at",
     "with_value",
@@ -616,8 +617,17 @@ def load_twin(path: str | Path) -> Twin:
     """
     path = Path(path)
     with reading(path, "a twin file"):
-        twin = parse_twin(read_yaml(path), source=path)
-        return twin.with_paths(lambda file: file if file.is_absolute() else (path.parent / file).resolve())
+        return _in_folder(parse_twin(read_yaml(path), source=path), path.parent)
+
+
+def twin_of_text(text: str, path: Path) -> Twin:
+    """The twin that :func:`load_twin` would read from ``path`` if the file had this ``text``."""
+    with reading(path, "a twin file"):
+        return _in_folder(parse_twin(parse_yaml(text, path), source=path), path.parent)
+
+
+def _in_folder(twin: Twin, folder: Path) -> Twin:
+    return twin.with_paths(lambda file: file if file.is_absolute() else (folder / file).resolve())
 
 
 def save_twin(twin: Twin, path: str | Path, heading: str = "") -> None:
