@@ -45,12 +45,17 @@ def compiled(function: Function, modules: Iterable[str] = ()) -> Function:
     Where no folder can be written at all (no home, read-only installation) every process compiles
     anew instead of failing.
     """
+    return _kept(function, modules, nogil=True)
+
+
+def _kept(function: Function, modules: Iterable[str], **options: bool) -> Function:
+    """Compile on first call and keep the machine code on disk, where a folder can be written."""
     with _one_folder:
         folder = _cache_folder(function.__module__, tuple(modules))
         given = config.CACHE_DIR
         config.CACHE_DIR = str(folder)  # numba reads it while it decorates
         try:
-            return cast(Function, njit(cache=folder is not None, nogil=True, error_model="numpy")(function))
+            return cast(Function, njit(cache=folder is not None, error_model="numpy", **options)(function))
         finally:
             config.CACHE_DIR = given
 
@@ -75,12 +80,13 @@ def linked(function: Function) -> Function:
     return cast(Function, njit(nogil=True, error_model="numpy")(function))
 
 
-def inlined(function: Function) -> Function:
+def inlined(function: Function, modules: Iterable[str] = ()) -> Function:
     """A helper that disappears into its caller, so that the loop around it vectorises.
 
-    The inlining is LLVM's: that of numba types the helper anew at every call, which takes twice as long.
+    The inlining is LLVM's: that of numba types the helper anew at every call, which takes twice as long. It is kept as
+    kernels are, so that the second kernel that calls it compiles a sixth as long.
     """
-    return cast(Function, njit(forceinline=True, error_model="numpy")(function))
+    return _kept(function, modules, forceinline=True)
 
 
 @cache

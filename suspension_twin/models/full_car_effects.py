@@ -376,8 +376,8 @@ def effect_kernels(links_alone: bool = False) -> EffectKernels:
     }
     parts |= {f"_{stage.upper()}_OF": own for stage, own in flags.items()}
     parts |= {"_CURVES": end, "_STAND": standing}
-    parts["_step"] = inlined(specialised(_step, f"step{suffix}", **parts))
     modules = [EFFECTS.module(name) for name in terms if name in EFFECTS]
+    parts["_step"] = inlined(specialised(_step, f"step{suffix}", **parts), modules)
     kernels = {
         hinges: compiled(
             specialised(
