@@ -5,7 +5,7 @@
     python docs/make_docs.py tables [PAGE...]
     python docs/make_docs.py pictures [NAME...]
 
-``tables`` writes the generated parts, each between its marks: commands in README.md, nodes, topics, services,
+``tables`` writes the generated parts, each between its marks: commands in commands.md, nodes, topics, services,
 actions and message definitions in interfaces.md, node parameters in parameters.md, effects in effects.md; of all these
 pages, or of those that are named: ``tables effects`` needs no ROS. A test says when one has fallen behind.
 ``pictures`` draws the pictures of this folder, or those that are named (demo, effects, damping, diagnosis, plan, rig);
@@ -92,7 +92,7 @@ WHERE = {
 def parts() -> dict[Path, dict[str, Callable[[], str]]]:
     """Makers of the generated parts, by the page and the name of their mark."""
     return {
-        ROOT / "README.md": {"commands": commands},
+        HERE / "commands.md": {"commands": commands},
         HERE / "interfaces.md": {
             "nodes": nodes,
             "topics": topics,

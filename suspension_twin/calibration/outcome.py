@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import math
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,11 +25,11 @@ from suspension_twin.calibration.request import (
 from suspension_twin.calibration.searches import costs_of
 from suspension_twin.calibration.sensor import sensor_estimates, with_sensor
 from suspension_twin.calibration.setup import Setup
-from suspension_twin.calibration.uncertainty import Uncertainty, assess, curve_estimates
+from suspension_twin.calibration.uncertainty import HALF_WIDTH, Uncertainty, assess, curve_estimates
 from suspension_twin.inference.gap import channel_unit
 from suspension_twin.inference.objectives import Objective
 from suspension_twin.inference.problem import Interrupted
-from suspension_twin.vehicle.twin import Twin
+from suspension_twin.vehicle.twin import Twin, value_at
 
 __all__ = ["conclude", "unfinished"]
 
@@ -66,7 +68,8 @@ def conclude(recorder: Recorder, outcome: SearchOutcome, start: float, began: fl
         stopped = True
     values = np.clip(_rounded(outcome.values), space.lower, space.upper)
     sensor = sensor_estimates(setup, outcome, found, request.keep_sensor) if found and setup.on_road else ()
-    twin = with_sensor(space.applied(setup.twin, values), sensor)
+    estimates = _estimates(setup, values, found)
+    twin = _with_uncertainty(with_sensor(space.applied(setup.twin, values), sensor), estimates)
     try:
         if not stopped:
             drives = drive_fits(setup, outcome, twin, values)
@@ -82,7 +85,7 @@ def conclude(recorder: Recorder, outcome: SearchOutcome, start: float, began: fl
         preset=setup.preset.name,
         objective=recorder.objective,
         seed=request.seed,
-        estimates=_estimates(setup, values, found),
+        estimates=estimates,
         nuisances=_nuisances(outcome, found),
         sensor=sensor,
         curves=curve_estimates(setup, twin, found) if found else (),
@@ -97,6 +100,24 @@ def conclude(recorder: Recorder, outcome: SearchOutcome, start: float, began: fl
         seconds=time.monotonic() - began,
         warnings=(*setup.warnings, *_early(sensor), *_remarks(drives, setup, values), *_absorbed(found)),
     )
+
+
+def _with_uncertainty(twin: Twin, estimates: Sequence[Estimate]) -> Twin:
+    """The twin with the standard deviations of what was estimated; of a characteristic where each point has one."""
+    known = dict(twin.uncertainty or {})
+    points: dict[str, list[float]] = {}
+    for one in estimates:
+        sigma = float(f"{(one.high - one.low) / (2.0 * HALF_WIDTH):.3g}")
+        whole, _, index = one.key.rpartition(".")
+        if index.isdecimal():
+            points.setdefault(whole, []).append(sigma)
+        elif not one.key.startswith("effects.") and math.isfinite(sigma):
+            known[one.key] = sigma
+    for key, sigmas in points.items():
+        values = value_at(twin, key)
+        if all(map(math.isfinite, sigmas)) and isinstance(values, Sequence) and len(values) == len(sigmas):
+            known[key] = tuple(sigmas)
+    return twin.with_changes({"uncertainty": known}) if known else twin
 
 
 def _settled(outcome: SearchOutcome, objective: Objective, found: Uncertainty) -> SearchOutcome:

@@ -2,11 +2,13 @@
 """The findings of recalibration: characteristics and numbers of the twin file that moved beyond their uncertainty.
 
 A characteristic moved if the 90 % interval of its change excludes zero, over draws of the vehicle's coordinates about
-their fit without any effect. Their covariance is that of the intervals of effects (``cross_validation.covariance_of``).
+their fit without any effect, and of the values before by the standard deviations that the twin file states of them. The
+covariance of the fit is that of the intervals of effects (``cross_validation.covariance_of``).
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -33,7 +35,7 @@ __all__ = ["recalibrated"]
 @dataclass(frozen=True, eq=False)
 class _Change:
     """A characteristic or number: the rows of its parameters in the space, ``before`` and ``after`` in ``unit``, and
-    ``draws`` (N,) of its change, relative to ``before`` where ``relative``."""
+    ``draws`` (N,) of its change, relative to what it was where ``relative``."""
 
     name: str
     rows: tuple[int, ...]
@@ -78,7 +80,8 @@ def recalibrated(judged: Judged, given: Twin, seed: int) -> list[Json]:
     list
         A mapping for each: ``characteristic``, ``keys`` of the twin file, ``before`` and ``after`` in ``unit``,
         ``change`` with its 90 % ``interval`` (relative, or in ``unit`` where the number may be zero: ``relative``), and
-        the ``share`` of the gap's mean square, of what recalibration closes, that it closes alone.
+        the ``share`` of the gap's mean square, of what recalibration closes, that it closes alone, and whether the twin
+        file had ``stated`` how sure it was of each value: then it has changed since.
     """
     problem, fit = judged.problem, judged.base.found.fit
     space, d = problem.space, problem.d
@@ -92,19 +95,21 @@ def recalibrated(judged: Judged, given: Twin, seed: int) -> list[Json]:
     prior = np.diag(np.linalg.inv(problem.having(BASELINE).joint_prior()[0]))[:d]
     narrower = np.minimum(np.sqrt(prior / np.diag(covariance)), 1.0)
     root = np.linalg.cholesky(covariance * np.outer(narrower, narrower) + 1e-14 * np.eye(d))
-    scatter = root @ np.random.default_rng(seed).standard_normal((d, DRAWS))
-    draws = space.from_slopes(fit.x[:d, None] + scatter)
+    random = np.random.default_rng(seed)
+    draws = space.from_slopes(fit.x[:d, None] + root @ random.standard_normal((d, DRAWS)))
+    sigma = np.array([given.deviation(key) for key in space.keys])
+    earlier = known[:, None] + sigma[:, None] * random.standard_normal((d, DRAWS))
     after = twin_of(problem, fit)
     changes = [
-        *_of_curves(space, (given, after), travel(after, problem), draws),
-        *_of_numbers(space, given, known, space.from_slopes(fit.x[:d]), draws),
+        *_of_curves(space, (given, after), travel(after, problem), (earlier, draws)),
+        *_of_numbers(space, given, space.from_slopes(fit.x[:d]), (known, earlier, draws)),
     ]
     moved = [change for change in changes if change.moved]
     shares = _shares(judged, space.to_slopes(np.clip(known, space.lower, space.upper)), moved)
     found = [
         {
             "characteristic": one.name,
-            "keys": sorted({space.keys[r].partition(".force.")[0] for r in one.rows}),
+            "keys": sorted({re.sub(r"(\.force)\.\d+$", r"\1", space.keys[r]) for r in one.rows}),
             "before": _digits(one.before),
             "after": _digits(one.after),
             "unit": one.unit,
@@ -112,6 +117,7 @@ def recalibrated(judged: Judged, given: Twin, seed: int) -> list[Json]:
             "interval": [_digits(end) for end in one.interval],
             "relative": one.relative,
             "share": _digits(share),
+            "stated": bool(np.all(sigma[list(one.rows)] > 0.0)),
         }
         for one, share in zip(moved, shares, strict=True)
     ]
@@ -122,7 +128,12 @@ def _digits(value: float) -> float:
     return float(f"{value:.6g}")
 
 
-def _of_curves(space: Space, twins: tuple[Twin, Twin], where: Travel, draws: Floats) -> list[_Change]:
+#: Twins and draws of their values (d, N), before and after.
+_Twins = tuple[Twin, Twin]
+_Draws = tuple[Floats, Floats]
+
+
+def _of_curves(space: Space, twins: _Twins, where: Travel, draws: _Draws) -> list[_Change]:
     """The change of each spring and damper in the range that the drives excited; both directions of a damper together
     where they changed alike."""
     found: list[_Change] = []
@@ -179,10 +190,10 @@ def _at(x: Floats, force: Floats, place: float) -> Floats:
 
 
 def _of_spring(
-    curve: Curve, twins: tuple[Twin, Twin], where: Travel, span: tuple[float, float], draws: Floats
+    curve: Curve, twins: _Twins, where: Travel, span: tuple[float, float], draws: _Draws
 ) -> _Change:
     """The mean rate of a spring over the excited travel about the standing car, where each curve bears the load."""
-    x, forces = _curve_draws(curve, twins[1], draws)
+    (_, earlier), (x, forces) = (_curve_draws(curve, t, d) for t, d in zip(twins, draws, strict=True))
     static = where.static[curve.axle]
     middle = twin_value(twins[1], curve.key).points[1][:, None]
     load = float(_at(x, middle, static)[0])
@@ -196,11 +207,11 @@ def _of_spring(
     before = float(rate(x0, force0[:, None], standing)[0])
     after = float(rate(x, middle, static)[0])
     own = tuple(r for r in curve.rows if r >= 0)
-    change = rate(x, forces, static) / before - 1.0
+    change = rate(x, forces, static) / rate(x0, earlier, standing) - 1.0
     return _Change(f"{_axle(curve)}spring rate", own, before, after, "N/m", True, change)
 
 
-def _of_damper(curve: Curve, twins: tuple[Twin, Twin], reached: float, draws: Floats) -> _Change:
+def _of_damper(curve: Curve, twins: _Twins, reached: float, draws: _Draws) -> _Change:
     """The mean force of a damper over the velocities that the drives reached."""
     places = np.linspace(0.0, reached, 9)[1:]
 
@@ -210,7 +221,7 @@ def _of_damper(curve: Curve, twins: tuple[Twin, Twin], reached: float, draws: Fl
     before, after = (
         float(force(x, values[:, None])[0]) for x, values in (twin_value(t, curve.key).points for t in twins)
     )
-    x, forces = _curve_draws(curve, twins[1], draws)
+    (x0, earlier), (x, forces) = (_curve_draws(curve, t, d) for t, d in zip(twins, draws, strict=True))
     way = curve.part.removeprefix("damper_")
     own = tuple(r for r in curve.rows if r >= 0)
     return _Change(
@@ -220,12 +231,16 @@ def _of_damper(curve: Curve, twins: tuple[Twin, Twin], reached: float, draws: Fl
         after,
         "N",
         True,
-        force(x, forces) / max(before, 1e-9) - 1.0,
+        force(x, forces) / np.maximum(force(x0, earlier), 1e-9) - 1.0,
     )
 
 
-def _of_numbers(space: Space, given: Twin, known: Floats, found: Floats, draws: Floats) -> list[_Change]:
-    """The change of every parameter that is no point of a characteristic."""
+def _of_numbers(
+    space: Space, given: Twin, found: Floats, values: tuple[Floats, Floats, Floats]
+) -> list[_Change]:
+    """The change of every parameter that is no point of a characteristic; ``values`` (d,) are those of the file, then
+    draws (d, N) of these and of what was ``found`` (d,)."""
+    known, earlier, draws = values
     on_curve = {r for curve in space.curves for r in curve.rows}
     changes = []
     for row, parameter in enumerate(space.parameters):
@@ -233,7 +248,7 @@ def _of_numbers(space: Space, given: Twin, known: Floats, found: Floats, draws: 
             continue
         before, after = float(known[row]), float(found[row])
         relative = bool(parameter.prior.log and before > 0.0)
-        change = draws[row] / before - 1.0 if relative else draws[row] - before
+        change = draws[row] / earlier[row] - 1.0 if relative else draws[row] - earlier[row]
         name, unit = parameter_label(given, parameter.key), parameter_unit(parameter.key)
         changes.append(_Change(name, (row,), before, after, unit, relative, change))
     return changes

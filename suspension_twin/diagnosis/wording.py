@@ -309,11 +309,14 @@ def _recalibration(document: Document) -> list[str]:
     if others:
         lines.append(f"Moved as well, to little effect: {'; '.join(others)}.")
     if document.get("reference"):
-        return [*lines, "The reference drives ask for the same values: the file was off before the gap came."]
-    return [
-        *lines,
-        "Wear, or a file that was never right: a reference drive from before the gap tells which.",
-    ]
+        lines.append("The reference drives ask for the same values: the file was off before the gap came.")
+    elif all(one.get("stated") for one, share in shares if share >= 0.01):
+        lines.append("The twin file states how sure it was of these values: they have changed since.")
+    else:
+        lines.append(
+            "Wear, or a file that was never right: a reference drive from before the gap tells which."
+        )
+    return lines
 
 
 def _remaining(document: Document) -> str:

@@ -339,6 +339,9 @@ class Twin(Strict):
         Origin of ``map`` on WGS 84.
     road : RoadFile, optional
         The OpenCRG file.
+    uncertainty : dict, optional
+        Standard deviations of values by their dotted keys: a number, or one for each point of a characteristic
+        (``vehicle.front.spring.force``). A value that is replaced loses its own.
 
     Examples
     --------
@@ -355,6 +358,34 @@ class Twin(Strict):
     gps: Place = Place(frame="gps_link")
     datum: Datum | None = None
     road: RoadFile | None = None
+    uncertainty: dict[str, float | tuple[float, ...]] | None = None
+
+    @model_validator(mode="after")
+    def _uncertain_of_what_is_there(self) -> Twin:
+        for key, sigma in (self.uncertainty or {}).items():
+            try:
+                value = value_at(self, key)
+            except InputError as error:
+                raise ValueError(f"uncertainty: {key}: no such key in the twin file") from error
+            count, known = (len(v) if isinstance(v, Sequence) else 0 for v in (value, sigma))
+            if isinstance(value, str) or not (count or isinstance(value, (int, float))):
+                raise ValueError(f"uncertainty: {key} is not a number or a list of numbers")
+            if count != known:
+                raise ValueError(f"uncertainty: {key}: needs {count or 'one'}, has {known or 'one'}")
+            if not all(
+                math.isfinite(one) and one >= 0.0 for one in (sigma if isinstance(sigma, tuple) else (sigma,))
+            ):
+                raise ValueError(f"uncertainty: {key}: must not be negative or infinite, is {sigma}")
+        return self
+
+    def deviation(self, key: str) -> float:
+        """The standard deviation that the file states of the number at a dotted key, 0 where it states none."""
+        known = self.uncertainty or {}
+        whole, _, index = key.rpartition(".")
+        sigma = known.get(key, known.get(whole) if index.isdecimal() else None)
+        if isinstance(sigma, tuple):
+            return sigma[int(index)]
+        return 0.0 if sigma is None else sigma
 
     @field_validator("effects")
     @classmethod
@@ -447,6 +478,16 @@ class Twin(Strict):
         data: object = self.model_dump(mode="python")
         for key, value in changes.items():
             data = with_value(data, key, value)
+        if self.uncertainty and "uncertainty" not in changes:
+            kept = {
+                key: sigma
+                for key, sigma in self.uncertainty.items()
+                if not any(
+                    f"{changed}.".startswith(f"{key}.") or f"{key}.".startswith(f"{changed}.")
+                    for changed in changes
+                )
+            }
+            data = with_value(data, "uncertainty", kept or None)
         return parse_twin(data, source="twin")
 
 

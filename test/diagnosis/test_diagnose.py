@@ -97,8 +97,11 @@ def test_a_late_clock_is_found_without_a_reference(make: Any) -> None:
 def test_wrong_characteristics_alone_are_recalibrated_and_twice_the_same(
     make: Any, car: Twin, tmp_path: Path
 ) -> None:
-    """The car's front dampers are 15 % stronger in jounce than the file says."""
+    """The car's front dampers are 15 % stronger in jounce than the file says, which it says to be sure of."""
     case = make()
+    stated = {"vehicle.front.damper_push.force": (2.0, 4.0, 5.0, 6.0)}
+    save_twin(load_twin(case[0]).with_changes({"uncertainty": stated}), tmp_path / "given.yaml")
+    case = (tmp_path / "given.yaml", *case[1:])
     result = diagnose(ask(case))
     first = result.document
     check(first)
@@ -106,13 +109,15 @@ def test_wrong_characteristics_alone_are_recalibrated_and_twice_the_same(
     assert (
         first["combination"] == [] and first["recalibration_probability"] == first["no_gap_probability"] > 0.5
     )
-    (own,) = [one for one in first["recalibrated"] if "vehicle.front.damper_push" in one["keys"]]
+    (own,) = [one for one in first["recalibrated"] if "vehicle.front.damper_push.force" in one["keys"]]
     asked = np.array([230.0, 480.0, 700.0, 810.0])
     truth = float(np.mean(asked / car.axles["front"].part.damper_push.points[1])) - 1.0
     assert own is first["recalibrated"][0] and own["interval"][0] <= truth <= own["interval"][1]
     assert own["change"] == pytest.approx(truth, abs=0.1) and own["share"] > 0.5
     assert "front damper, push" in first["message"]
+    assert [one["stated"] for one in first["recalibrated"]] == [one is own for one in first["recalibrated"]]
     write(result, tmp_path)
+    assert load_twin(tmp_path / "twin.yaml").uncertainty is None  # of values that are replaced
     drive = read_drive(case[1][0])
     before, after = (simulate_drive(drive, load_twin(p)).gap for p in (case[0], tmp_path / "twin.yaml"))
     assert after.rms < before.rms

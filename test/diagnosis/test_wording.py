@@ -139,7 +139,7 @@ def test_what_is_open_is_said_with_all_chances():
 
 MOVED = {
     "characteristic": "rear damper, both ways",
-    "keys": ["vehicle.rear.damper_pull", "vehicle.rear.damper_push"],
+    "keys": ["vehicle.rear.damper_pull.force", "vehicle.rear.damper_push.force"],
     "before": 1205.0,
     "after": 610.0,
     "unit": "N",
@@ -147,6 +147,7 @@ MOVED = {
     "interval": [-0.55, -0.44],
     "relative": True,
     "share": 0.9,
+    "stated": False,
 }
 HIGHER = {
     "characteristic": "cog 2",
@@ -158,6 +159,7 @@ HIGHER = {
     "interval": [0.03, 0.07],
     "relative": False,
     "share": 0.0,
+    "stated": False,
 }
 
 
@@ -178,6 +180,8 @@ def test_what_recalibration_moved_is_said_as_in_a_workshop():
     assert "a reference drive from before the gap tells which" in text
     text = " ".join(wording.remarks({**found, "reference": True}))
     assert "the file was off before the gap came" in text
+    text = " ".join(wording.remarks({**found, "recalibrated": [{**MOVED, "stated": True}, HIGHER]}))
+    assert "they have changed since" in text and "a reference drive" not in text
 
 
 def test_a_size_that_may_be_none_is_not_said():
