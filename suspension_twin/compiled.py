@@ -97,7 +97,7 @@ def _cache_folder(module: str, more: tuple[str, ...] = ()) -> Path | None:
     In ``NUMBA_CACHE_DIR`` if it is set, else in the package's ``__pycache__``, else in the user's cache.
     """
     package = sys.modules[module.partition(".")[0]]
-    if sys.modules[module].__file__ is None or package.__file__ is None:
+    if any(getattr(m, "__file__", None) is None for m in (sys.modules[module], package)):  # of a notebook
         return None
     root = Path(package.__file__).parent
     digest = hashlib.blake2b(numba.__version__.encode(), digest_size=16)
