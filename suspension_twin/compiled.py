@@ -83,10 +83,13 @@ def linked(function: Function) -> Function:
 def inlined(function: Function, modules: Iterable[str] = ()) -> Function:
     """A helper that disappears into its caller, so that the loop around it vectorises.
 
-    The inlining is LLVM's: that of numba types the helper anew at every call, which takes twice as long. It is kept as
-    kernels are, so that the second kernel that calls it compiles a sixth as long.
+    The inlining is LLVM's: that of numba types the helper anew at every call, which takes twice as long. Those of this
+    package are kept as kernels are, so that the second kernel that calls them compiles a sixth as long; of another
+    package nobody would know when they are stale, as they are made of files of both.
     """
-    return _kept(function, modules, forceinline=True)
+    if function.__module__.partition(".")[0] == __name__.partition(".")[0]:
+        return _kept(function, modules, forceinline=True)
+    return cast(Function, njit(forceinline=True, error_model="numpy")(function))
 
 
 @cache
