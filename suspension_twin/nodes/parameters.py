@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from suspension_twin.errors import InputError
-from suspension_twin.files import read_yaml, reading
+from suspension_twin.files import read_yaml, reader, reading
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.vehicle.twin import Twin, load_twin
 
@@ -195,6 +195,7 @@ def low_pass_text(values: Values) -> str:
 # Parameter files, checked before ROS reads them: rcl ignores a name that no node has
 
 
+@reader("a parameter file")
 def read_param_file(path: Path) -> dict[str, dict[str, Any]]:
     """Values by node (as the file names it: a name, a path or a pattern) and dotted parameter name.
 

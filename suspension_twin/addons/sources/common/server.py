@@ -25,6 +25,7 @@ from aiohttp import WSMsgType, web
 from suspension_twin.addons.sources.common.clock import host_time
 from suspension_twin.addons.sources.common.connection import Address, is_local, url_host
 from suspension_twin.errors import InputError
+from suspension_twin.files import read_text
 
 __all__ = ["Limits", "PushServer", "kept_token", "network_address"]
 
@@ -61,8 +62,8 @@ def kept_token() -> str:
     first and kept readable for the user alone."""
     base = os.environ.get("XDG_STATE_HOME") or os.path.expanduser("~/.local/state")
     path = Path(base) / "suspension_twin" / "token"
-    with contextlib.suppress(OSError, UnicodeDecodeError):
-        token = path.read_text(encoding="ascii").strip()
+    with contextlib.suppress(InputError):
+        token = read_text(path).strip()
         if (
             len(token) >= _TOKEN_LENGTH
             and token.isascii()
