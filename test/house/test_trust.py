@@ -30,10 +30,19 @@ from suspension_twin.vehicle.twin import load_twin
 #: Methods and functions that open a path, whatever they are called on or by their full name.
 METHODS = ("open", "read_text", "read_bytes")
 FUNCTIONS = (
-    "np.load np.loadtxt np.genfromtxt np.fromfile np.memmap shutil.copyfile shutil.copy shutil.copy2 shutil.copytree "
-    "zipfile.ZipFile zipfile.is_zipfile sqlite3.connect h5py.File matio.load_from_mat PlyData.read Ros1Reader "
-    "ElementTree.parse fmpy.read_model_description fmpy.supported_platforms fmpy.extract yaml.safe_load json.load open"
-).split()  # noqa: SIM905
+    *("open", "json.load", "yaml.safe_load", "ElementTree.parse", "sqlite3.connect", "h5py.File"),
+    *(
+        "np.load",
+        "np.loadtxt",
+        "np.genfromtxt",
+        "np.fromfile",
+        "np.memmap",
+        "zipfile.ZipFile",
+        "zipfile.is_zipfile",
+    ),
+    *("shutil.copyfile", "shutil.copy", "shutil.copy2", "shutil.copytree", "Ros1Reader", "PlyData.read"),
+    *("matio.load_from_mat", "fmpy.read_model_description", "fmpy.supported_platforms", "fmpy.extract"),
+)
 #: Calls that open nothing that somebody gave, by module or for all: how the call begins or ends, and why.
 HARMLESS = {
     "": (
