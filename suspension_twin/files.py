@@ -12,7 +12,7 @@ import os
 import re
 import shutil
 import stat
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from functools import wraps
@@ -30,10 +30,12 @@ from suspension_twin.errors import InputError, SuspensionTwinError, WorkError, p
 
 __all__ = [
     "NO_SPACE",
+    "Folders",
     "Json",
     "check_writable",
     "comment_lines",
     "explained",
+    "for_peers",
     "open_file",
     "open_text",
     "parse_json",
@@ -49,6 +51,7 @@ __all__ = [
     "synchronise",
     "temporary_beside",
     "together",
+    "unused",
     "write_text",
     "writing",
 ]
@@ -99,12 +102,17 @@ def reading(source: str | os.PathLike[str], kind: str) -> Iterator[None]:
     try:
         with np.errstate(all="ignore"):
             yield
+    except InputError as error:
+        error.place = error.place or ""
+        raise
     except SuspensionTwinError:
         raise
     except OSError as error:
         if error.errno in NO_SPACE:
             raise WorkError(f"{os.fspath(source)}: no space left for temporary files") from error
-        raise InputError(source, error.strerror or _damaged(kind, error)) from error  # h5py's have no number
+        wrong = InputError(source, error.strerror or _damaged(kind, error))  # h5py's have no number
+        wrong.place = error.strerror or ""
+        raise wrong from error
     except MemoryError as error:
         raise InputError(source, f"is not {kind} that fits into memory: damaged, or too large") from error
     except RecursionError as error:
@@ -269,7 +277,9 @@ def parse_yaml(text: str, source: str | os.PathLike[str]) -> Any:
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f", line {mark.line + 1}" if mark else ""
-        raise InputError(source, f"not YAML{where}: {getattr(error, 'problem', None) or error}") from None
+        wrong = InputError(source, f"not YAML{where}: {getattr(error, 'problem', None) or error}")
+        wrong.place = f"not YAML{where}"
+        raise wrong from None
     except (
         RecursionError,
         ValueError,
@@ -431,6 +441,43 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
 def comment_lines(*lines: str) -> str:
     """Lines of a comment in YAML, CSV and the like, ``# `` before each; no text in them begins a line of its own."""
     return "".join(f"# {printable(line)}\n" for line in lines)
+
+
+def unused(path: Path) -> Path:
+    """``path``, or where it is taken the first of ``path_2``, ``path_3`` that is not."""
+    numbered = (path.with_name(f"{path.stem}_{k}{path.suffix}") for k in itertools.count(2))
+    return next(free for free in itertools.chain([path], numbered) if not free.exists())
+
+
+class Folders:
+    """The folders, named by who started a node, in which others may have it read and write files."""
+
+    def __init__(self, folders: Iterable[str | os.PathLike[str]]) -> None:
+        self._places = [Path(folder).expanduser().resolve() for folder in folders]
+
+    def check(self, path: str | os.PathLike[str], ending: str = "") -> None:
+        """Raise InputError for a path that leads out of the folders, links followed, or has another ending."""
+        place = Path(path).resolve()
+        if not any(place.is_relative_to(folder) for folder in self._places):
+            raise InputError(path, "lies in none of the folders that the parameter folders names")
+        if ending and place.suffix != ending:
+            raise InputError(path, f"must end in {ending}")
+
+
+@contextmanager
+def for_peers(log: Callable[[str], object]) -> Iterator[None]:
+    """The boundary around what others ask a node to read.
+
+    They get the place of a fault in a file, and ``log`` the whole line. Errors about what they asked for pass.
+    """
+    try:
+        yield
+    except InputError as error:
+        if error.place is None:
+            raise
+        log(str(error))
+        place = f" ({error.place})" if error.place else ""
+        raise InputError(error.source, f"cannot be used{place}: the log of the node says why") from error
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:

@@ -186,8 +186,8 @@ def _settle_in(bag: Path, out: Path, name: str) -> Path:
     if twin.road is None or twin.datum is None:
         raise InputError(bag / "twin.yaml", "road", "and datum are needed by the demo")
     road = out / f"{name}.crg"
-    with replacing(road) as temporary, open_file(twin.road.file) as road, temporary.open("wb") as there:
-        shutil.copyfileobj(road, there)
+    with replacing(road) as temporary, open_file(twin.road.file) as given, temporary.open("wb") as there:
+        shutil.copyfileobj(given, there)
     start = out / ("start.yaml" if name == LEARNT else f"start_{name}.yaml")
     save_twin(twin.model_copy(update={"road": RoadFile(file=road.resolve())}), start)
     return start

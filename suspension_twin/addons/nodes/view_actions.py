@@ -20,13 +20,13 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 from sensor_msgs.msg import Imu, NavSatFix
 
-from suspension_twin.addons.nodes.view_recorder import ViewRecorder, unused
+from suspension_twin.addons.nodes.view_recorder import ViewRecorder
 from suspension_twin.addons.sources.common.first_drive import FirstDrive
 from suspension_twin.addons.view.live import LiveView
 from suspension_twin.calibration.output import details_path
 from suspension_twin.drive.types import Samples
 from suspension_twin.errors import InputError, SuspensionTwinError, WorkError
-from suspension_twin.files import Json, read_yaml
+from suspension_twin.files import Json, read_yaml, unused
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.messages import read_fix, read_imu, read_velocity
 from suspension_twin.nodes.topics import OK, SENSOR_QOS, WARN

@@ -34,7 +34,7 @@ from suspension_twin.errors import InputError, SuspensionTwinError
 from suspension_twin.inference.observation import road_of
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.messages import read_odometry
-from suspension_twin.nodes.parameters import TWIN, Param, Values, twin_of
+from suspension_twin.nodes.parameters import FOLDERS, TWIN, Param, Values, twin_of
 from suspension_twin.nodes.topics import NS, Embedding
 from suspension_twin.vehicle.twin import Twin
 from suspension_twin_interfaces.msg import Gap
@@ -57,6 +57,7 @@ class ViewerNode(TwinNode):
     events = True  # many topics, at many times the rate of a drive that is replayed quickly
     parameters = (
         TWIN,
+        FOLDERS,
         Param(
             "host",
             "127.0.0.1",
