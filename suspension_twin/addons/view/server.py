@@ -28,6 +28,7 @@ import numpy as np
 from aiohttp import WSMsgType, web
 
 from suspension_twin.addons.sources.common.connection import is_local, url_host
+from suspension_twin.addons.sources.common.server import Listener
 from suspension_twin.addons.view.live import LiveView
 from suspension_twin.errors import InputError, SuspensionTwinError, WorkError
 from suspension_twin.road.road import Road
@@ -53,6 +54,7 @@ ACTIONS = {
 }
 #: Frames a second, frames that may wait for a slow viewer, bytes of a request, viewers at a time.
 _RATE, _WAITING, _LARGEST, _VIEWERS = 30.0, 60, 1024, 32
+_CONNECTIONS = 6 * _VIEWERS  # as many a browser opens to one host
 #: s that an answer to a button may take.
 _PATIENCE = 6.0
 _BEAT = 1.0  # s after which an empty frame says that the program is still there (tolerance, by hand)
@@ -141,16 +143,14 @@ class Site:
         app.router.add_get("/", self._index)
         app.router.add_get("/static/{name}", self._file)
         self._add_routes(app)
-        self._runner = web.AppRunner(app, access_log=None)
-        await self._runner.setup()
-        await web.TCPSite(self._runner, self.host, port).start()
-        return int(self._runner.addresses[0][1])
+        self._listener = Listener(app, _CONNECTIONS, max_line_size=4096, max_field_size=4096)
+        return await self._listener.start(self.host, port)
 
     def _add_routes(self, app: web.Application) -> None:
         """Add routes beside the page and its files."""
 
     async def _stop(self) -> None:
-        await self._runner.cleanup()
+        await self._listener.stop()
 
     @web.middleware
     async def _guard(
@@ -162,6 +162,7 @@ class Site:
         if is_local(self.host) and not is_local(_name_of(request.host)):
             # a name of somebody else's that leads here: a website rebound to this machine
             raise web.HTTPForbidden(text="Open the address that the terminal shows.\n")
+        self._listener.welcome(request)
         response = await handler(request)
         if not response.prepared:
             response.headers["X-Content-Type-Options"] = "nosniff"

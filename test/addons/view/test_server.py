@@ -4,13 +4,16 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import random
+import socket
 from collections.abc import Callable, Iterator
 
 import pytest
 from aiohttp import ClientSession, WSServerHandshakeError
 
+from suspension_twin.addons.sources.common.server import Listener
 from suspension_twin.addons.view.live import LiveView
 from suspension_twin.addons.view.server import ACTIONS, Server, parse_action
 from suspension_twin.errors import InputError, WorkError
@@ -227,6 +230,56 @@ def test_a_viewer_that_does_not_read_costs_no_memory_and_the_others_nothing(serv
                 return max(queue.qsize() for queue in server._queues)
 
     assert asyncio.run(watch()) <= 61
+
+
+def test_half_open_connections_do_not_keep_the_page_from_others(serve, monkeypatch, capfd):
+    """Each sends a part of a request, or nothing, and stays; then requests that are none."""
+    monkeypatch.setattr(Listener, "soon", 0.2)
+    server = serve()
+    idle: list[socket.socket] = []
+    try:
+        for k in range(400):
+            one = socket.socket()
+            one.setblocking(False)
+            with contextlib.suppress(BlockingIOError):
+                one.connect(("127.0.0.1", server.port))
+            idle.append(one)
+            if k % 2:
+                with contextlib.suppress(OSError):
+                    one.send(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX: ")
+        assert status(server.url) == 200
+        assert len(server._listener.present) <= 192
+    finally:
+        for one in idle:
+            one.close()
+    for words in (
+        b"\x16\x03\x01\x02\x00",
+        b"GET / HTTP/9.9\r\n\r\n",
+        b"GET / HTTP/1.1\r\nA" + b"a" * 10_000,
+        b"\0" * 99,
+    ):
+        with socket.create_connection(("127.0.0.1", server.port), timeout=5.0) as one:
+            one.sendall(words + b"\r\n\r\n")
+            with contextlib.suppress(OSError):
+                one.recv(1000)
+    assert status(server.url) == 200
+    assert capfd.readouterr().err == "", "nothing of it reaches the terminal"
+
+
+def test_who_shows_no_token_is_sent_away(serve, monkeypatch):
+    monkeypatch.setattr(Listener, "soon", 0.1)
+    monkeypatch.setattr(Listener, "deadline", 0.3)
+    server = serve()
+    idle = socket.create_connection(("127.0.0.1", server.port), timeout=5.0)
+    with idle, contextlib.suppress(ConnectionError):
+        assert idle.recv(1) == b""
+
+    async def stay() -> bool:
+        async with ClientSession() as session, session.ws_connect(server.address("ws")) as viewer:
+            await asyncio.sleep(1.0)
+            return not viewer.closed
+
+    assert asyncio.run(stay())
 
 
 def test_the_port_that_is_taken_is_named(serve):
