@@ -107,6 +107,7 @@ def write_rig(record: RigRecord, path: Path, comment: str = "") -> None:
     digits = ["%.15g", *["%.6g"] * len(record.columns)]
     with replacing(path) as temporary:
         np.savetxt(temporary, np.stack(list(table.values()), axis=1), digits, ",", header=head, comments="")
+        _checked(path, *_of_table(temporary))  # or it would be refused when it is read
 
 
 def _of_table(path: Path) -> tuple[dict[str, Floats], list[str]]:

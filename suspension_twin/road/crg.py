@@ -198,8 +198,20 @@ def write_road(road: Road, path: str | os.PathLike[str], comment: str = "") -> N
                 opts=options or None,
                 mods={},
             )
+            _check_written(road, temporary)
     except ValueError as error:
         raise InputError(road.name, f"does not fit into an OpenCRG file: {_one_line(str(error))}") from error
+
+
+def _check_written(road: Road, path: Path) -> None:
+    """Raise InputError where this package would refuse to read what was written."""
+    if not np.isfinite(road.z).any():
+        raise InputError(road.name, "not one height: every value is missing")
+    try:
+        examine(path)
+    except InputError as error:
+        fault = str(error).removeprefix(f"{path}: ")
+        raise InputError(road.name, f"is no road that can be read back: {fault}") from error
 
 
 def _comment(text: str) -> list[str]:
