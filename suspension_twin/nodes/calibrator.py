@@ -214,6 +214,9 @@ class CalibratorNode(TwinNode):
             with reading(action.name, "a goal"), for_peers(self.log.warning):
                 check_paths(goal.request, self.folders, self.values["twin"])
                 job = action.job_of(goal.request, self.values["twin"], self.values["threads"], **options)
+                self.folders.check(
+                    job.output
+                )  # beside a recording that is a folder itself, it may lie out of it
         except SuspensionTwinError as error:
             self.note("rejected goals", WARN, f"{action.name}: {error}")
             goal.abort()

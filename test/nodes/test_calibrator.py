@@ -189,6 +189,7 @@ def test_a_goal_that_cannot_be_is_answered_with_what_is_wrong(bench, goal, chang
         ("output", ".bashrc", "must end in .yaml"),
         ("output", "kept.yaml", "is no result of a calibration: not overwritten"),
         ("bags", "../elsewhere", "lies in none of the folders"),
+        ("bags", "", "own_calibrated.yaml: lies in none of the folders"),
         ("twin", "../elsewhere/secret.yaml", "lies in none of the folders"),
         ("twin", "secret.txt", "must end in .yaml"),
         ("twin", "broken.yaml", "broken.yaml: cannot be used (vehicle"),
@@ -221,7 +222,7 @@ def test_a_goal_reads_and_writes_in_the_folders_of_the_node_alone(bench, goal, t
     allowed = [str(own), *(str(path.parent) for path in bags)]
     bench.make(CalibratorNode, {"calibrate": five_generations}, folders=os.pathsep.join(allowed))
     client = Client(bench, Calibrate, "calibrate")
-    goal.output = str(own / "new.yaml")
+    goal.output = str(own / "new.yaml") if name else ""
     path = str(own / name)
     setattr(goal, field, [path] if field == "bags" else path)
     status, result = client.result(client.send(goal))
