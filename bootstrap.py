@@ -7,6 +7,8 @@
     python3 bootstrap.py check          ruff and mypy alone
     python3 bootstrap.py check --size   counts of the code and their limits; --list names what is counted
     python3 bootstrap.py COMMAND ...    any other command of suspension-twin
+    python3 bootstrap.py --locked ...   the same, with the versions of constraints.txt alone
+    python3 bootstrap.py lock           write the versions in .venv to constraints.txt, for this Python
 
 The first run makes a virtual environment in .venv and installs everything into it, later runs
 start at once. Needs Python 3.10 to 3.13, git and g++ on x86-64 Linux.
@@ -29,6 +31,7 @@ VENV = os.path.join(ROOT, ".venv")
 PYTHON = os.path.join(VENV, "bin", "python")
 STAMP = os.path.join(VENV, "bootstrap.json")
 LOG = os.path.join(VENV, "bootstrap.log")
+CONSTRAINTS = os.path.join(ROOT, "constraints.txt")
 SUPPORTED = ((3, 10), (3, 11), (3, 12), (3, 13))
 
 # What an installation depends on, so that it is done again when that has changed.
@@ -62,11 +65,15 @@ def main(arguments):
         (sys.stdout if arguments else sys.stderr).write(__doc__)
         return 0 if arguments else 2
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # so that pip ends with this
+    locked_versions = arguments[0] == "--locked"
     try:
         use_supported_python(arguments)
+        arguments = arguments[locked_versions:] or ["--help"]
         command = arguments[0]
         extras = ["test"] if command in ("test", "check") else []
-        set_up(extras + (["foxglove"] if "--foxglove" in arguments else []))
+        set_up(extras + (["foxglove"] if "--foxglove" in arguments else []), locked_versions)
+        if command == "lock":
+            return lock()
     except Refusal as refusal:
         sys.stderr.write("bootstrap: %s\n" % refusal)
         return 2
@@ -119,7 +126,7 @@ def is_python(path, version, modules=""):
             return False
 
 
-def set_up(extras):
+def set_up(extras, locked_versions=False):
     """Bring .venv up to date. Quick when it is, one at a time, and begun again where it was interrupted."""
     wanted = {
         "root": ROOT,
@@ -127,6 +134,8 @@ def set_up(extras):
         "interfaces": digest(INTERFACES),
         "package": digest(PACKAGE),
     }
+    if locked_versions:
+        wanted["constraints"] = digest([os.path.basename(CONSTRAINTS)])
     with locked():
         have = read_stamp()
         same = {key: have.get(key) == wanted[key] for key in wanted}
@@ -152,9 +161,47 @@ def set_up(extras):
             "--progress-bar",
             "off",
         ]
+        if locked_versions:
+            options += ["--constraint", CONSTRAINTS]
         run([PYTHON, "-m", "pip", "install"] + options + targets)
         wanted["extras"] = extras
         write_stamp(wanted)
+
+
+#: Name and version of every installed package that ours need, directly or not; for a Python of any version.
+NEEDED = """
+import importlib.metadata as known, re
+plain = lambda name: re.sub(r"[-_.]+", "-", name).lower()
+own = ["suspension-twin", "suspension-twin-interfaces"]
+found, left = {}, list(own)
+while left:
+    name = plain(re.match(r"[A-Za-z0-9._-]+", left.pop()).group())
+    try:
+        package = known.distribution(name)
+    except known.PackageNotFoundError:
+        continue
+    if name not in found:
+        found[name] = package.version
+        left += package.requires or []
+print("\\n".join("%s==%s" % pair for pair in sorted(found.items()) if pair[0] not in own))
+"""
+
+
+def lock():
+    """Write the versions in .venv to constraints.txt: those for this Python, without addresses."""
+    marker = '; python_version == "%d.%d"' % sys.version_info[:2]
+    known = subprocess.check_output([PYTHON, "-I", "-c", NEEDED], cwd=ROOT, env=clean_environment())
+    kept = []
+    if os.path.exists(CONSTRAINTS):
+        with open(CONSTRAINTS) as file:
+            kept = [line for line in file.read().splitlines() if ";" in line and not line.endswith(marker)]
+    lines = ["%s %s" % (line, marker) for line in known.decode().split()]
+    with open(CONSTRAINTS + ".new", "w") as file:
+        file.write("# Versions that the tests passed with, by Python: python3 bootstrap.py lock\n")
+        file.write("".join("%s\n" % line for line in sorted(kept + lines)))
+    os.rename(CONSTRAINTS + ".new", CONSTRAINTS)
+    say("%d versions in %s" % (len(lines), os.path.relpath(CONSTRAINTS)))
+    return 0
 
 
 def check_machine():

@@ -211,6 +211,10 @@ def listen_to_all(control: Connection) -> None:
     _serve(control, lambda: executor.spin_once(timeout_sec=0.1))
 
 
+#: Of the page; whoever sees the arguments of this benchmark's processes may look on.
+TOKEN = "benchmark"
+
+
 def watch(control: Connection, port: int, viewers: int) -> None:
     """So many pages that are open: each takes every frame through its WebSocket; answers with the frames so far."""
     import asyncio
@@ -220,7 +224,10 @@ def watch(control: Connection, port: int, viewers: int) -> None:
     frames = [0] * viewers
 
     async def look(number: int) -> None:
-        async with ClientSession() as session, session.ws_connect(f"http://127.0.0.1:{port}/ws") as page:
+        async with (
+            ClientSession() as session,
+            session.ws_connect(f"http://127.0.0.1:{port}/ws?token={TOKEN}") as page,
+        ):
             async for message in page:
                 frames[number] += message.type is WSMsgType.TEXT
 
@@ -250,7 +257,7 @@ def pages_open(viewers: int) -> Iterator[Child]:
     with socket.create_server(("127.0.0.1", 0)) as probe:
         port = int(probe.getsockname()[1])
     with tempfile.TemporaryDirectory() as folder:
-        given = {"twin": str(twin_file()), "port": port, "folder": folder}
+        given = {"twin": str(twin_file()), "port": port, "folder": folder, "token": TOKEN}
         words = [w for name, value in given.items() for w in ("-p", f"{name}:={value}")]
         command = [
             sys.executable,

@@ -62,6 +62,14 @@ class InputError(SuspensionTwinError):
     """
 
     exit_status = 2
+    #: Of an error about the content of a file the place alone, without anything that stands there: all that somebody
+    #: elsewhere may know of it. None where the error is about something else.
+    place: str | None = None
+
+    def __init__(self, *parts: str | PathLike[str]) -> None:
+        super().__init__(*parts)
+        #: The first part: the file, in errors that are about one.
+        self.source = printable(fspath(parts[0])) if parts else ""
 
 
 class WorkError(SuspensionTwinError):

@@ -1,19 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files: one boundary around their readers, YAML within limits, and every file written whole or not at all."""
+"""Files: one way to open them, one boundary around their readers, YAML and JSON within limits, and every file written
+whole or not at all."""
 
 from __future__ import annotations
 
 import errno
+import io
 import itertools
+import json
 import os
 import re
 import shutil
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
+from functools import wraps
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final, ParamSpec, TextIO, TypeVar
 
 import yaml
 
@@ -26,19 +30,28 @@ from suspension_twin.errors import InputError, SuspensionTwinError, WorkError, p
 
 __all__ = [
     "NO_SPACE",
+    "Folders",
     "Json",
     "check_writable",
     "comment_lines",
     "explained",
+    "for_peers",
+    "open_file",
+    "open_text",
+    "parse_json",
     "parse_yaml",
     "read_bytes",
+    "read_json",
+    "read_text",
     "read_yaml",
+    "reader",
     "reading",
     "remove_leftovers",
     "replacing",
     "synchronise",
     "temporary_beside",
     "together",
+    "unused",
     "write_text",
     "writing",
 ]
@@ -89,12 +102,17 @@ def reading(source: str | os.PathLike[str], kind: str) -> Iterator[None]:
     try:
         with np.errstate(all="ignore"):
             yield
+    except InputError as error:
+        error.place = error.place or ""
+        raise
     except SuspensionTwinError:
         raise
     except OSError as error:
         if error.errno in NO_SPACE:
             raise WorkError(f"{os.fspath(source)}: no space left for temporary files") from error
-        raise InputError(source, error.strerror or _damaged(kind, error)) from error  # h5py's have no number
+        wrong = InputError(source, error.strerror or _damaged(kind, error))  # h5py's have no number
+        wrong.place = error.strerror or ""
+        raise wrong from error
     except MemoryError as error:
         raise InputError(source, f"is not {kind} that fits into memory: damaged, or too large") from error
     except RecursionError as error:
@@ -103,19 +121,104 @@ def reading(source: str | os.PathLike[str], kind: str) -> Iterator[None]:
         raise InputError(source, _damaged(kind, error)) from error
 
 
+P = ParamSpec("P")
+Read = TypeVar("Read")
+
+
+def reader(kind: str) -> Callable[[Callable[P, Read]], Callable[P, Read]]:
+    """Decorate a public reader, whose first argument names its source, with the boundary of :func:`reading`."""
+
+    def decorate(read: Callable[P, Read]) -> Callable[P, Read]:
+        @wraps(read)
+        def within(*args: P.args, **kwargs: P.kwargs) -> Read:
+            source = args[0] if args else next(iter(kwargs.values()), kind)
+            with reading(str(source), kind):
+                return read(*args, **kwargs)
+
+        return within
+
+    return decorate
+
+
 def _damaged(kind: str, error: Exception) -> str:
     return f"is not {kind} that can be read: cut off or damaged ({type(error).__name__})"
 
 
+#: A pipe without a writer would hold up whoever opens it; a terminal would become that of this process.
+_FLAGS: Final = os.O_RDONLY | sum(
+    getattr(os, f"O_{n}", 0) for n in ("NONBLOCK", "NOCTTY", "CLOEXEC", "BINARY")
+)
+
+
+def open_file(path: str | os.PathLike[str]) -> BinaryIO:
+    """A regular file, open to be read. The one way in which this package opens a path that somebody gave.
+
+    Raises OSError, and InputError for a folder, a device, a pipe or a socket: it is looked at before it is opened, as
+    opening a device may do something, and once more after, as it may have been replaced.
+    """
+    _check_regular(path, os.stat(path))
+    descriptor = os.open(path, _FLAGS)
+    try:
+        _check_regular(path, os.fstat(descriptor))
+        return os.fdopen(descriptor, "rb")
+    except BaseException:
+        os.close(descriptor)
+        raise
+
+
+def _check_regular(path: str | os.PathLike[str], status: os.stat_result) -> None:
+    if stat.S_ISDIR(status.st_mode):
+        raise InputError(path, os.strerror(errno.EISDIR))
+    if not stat.S_ISREG(status.st_mode):
+        raise InputError(path, "is not a regular file")
+
+
+def open_text(path: str | os.PathLike[str]) -> TextIO:
+    """As :func:`open_file`, for text in UTF-8, to be read line by line."""
+    return io.TextIOWrapper(open_file(path), encoding="utf-8-sig")
+
+
 def read_bytes(path: str | os.PathLike[str], most: int) -> bytes:
     """Content of a regular file of at most ``most`` bytes; InputError for a larger one, a device or a pipe."""
-    with reading(path, "a file"), Path(path).open("rb") as file:
-        status = os.fstat(file.fileno())
-        if not stat.S_ISREG(status.st_mode):
-            raise InputError(path, "is not a regular file")
-        if status.st_size > most:
+    with reading(path, "a file"), open_file(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        if size > most:
             raise InputError(path, f"is larger than {_size(most)}")
-        return file.read(status.st_size)
+        return file.read(size)
+
+
+#: Bytes of a text that a person wrote or of a document of ours: a twin file has 2 kB, an evidence folder 2 MB.
+_LARGEST_TEXT: Final = 64 << 20
+
+
+def read_text(path: str | os.PathLike[str], most: int = _LARGEST_TEXT) -> str:
+    """Content of a text file in UTF-8 of at most ``most`` bytes; InputError where it is none."""
+    try:
+        return read_bytes(path, most).decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise InputError(path, "not a text file") from None
+
+
+def parse_json(text: str | bytes, source: str | os.PathLike[str]) -> Any:
+    """Contents of a text in JSON; InputError that names ``source`` where it is none or holds a number that is none."""
+
+    def refuse(word: str) -> None:
+        raise InputError(source, f"holds {word}, which is no number of JSON")
+
+    try:
+        return json.loads(text, parse_constant=refuse)
+    except json.JSONDecodeError as error:
+        raise InputError(source, f"not JSON, line {error.lineno}: {error.msg}") from None
+    except (
+        ValueError,
+        RecursionError,
+    ):  # a number of too many digits, bytes that are no text, brackets without end
+        raise InputError(source, "not JSON that can be read") from None
+
+
+def read_json(path: str | os.PathLike[str], most: int = _LARGEST_TEXT) -> Any:
+    """Contents of a JSON file; InputError that names the file."""
+    return parse_json(read_text(path, most), path)
 
 
 def _size(count: int) -> str:
@@ -174,7 +277,9 @@ def parse_yaml(text: str, source: str | os.PathLike[str]) -> Any:
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f", line {mark.line + 1}" if mark else ""
-        raise InputError(source, f"not YAML{where}: {getattr(error, 'problem', None) or error}") from None
+        wrong = InputError(source, f"not YAML{where}: {getattr(error, 'problem', None) or error}")
+        wrong.place = f"not YAML{where}"
+        raise wrong from None
     except (
         RecursionError,
         ValueError,
@@ -210,11 +315,7 @@ def _values(root: yaml.Node) -> int | None:
 
 def read_yaml(path: str | os.PathLike[str]) -> Any:
     """Contents of a YAML file; raises InputError that names the file."""
-    try:
-        text = read_bytes(path, _LARGEST).decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise InputError(path, "not a text file") from None
-    return parse_yaml(text.replace("\r\n", "\n"), path)
+    return parse_yaml(read_text(path, _LARGEST).replace("\r\n", "\n"), path)
 
 
 # Writing
@@ -340,6 +441,43 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
 def comment_lines(*lines: str) -> str:
     """Lines of a comment in YAML, CSV and the like, ``# `` before each; no text in them begins a line of its own."""
     return "".join(f"# {printable(line)}\n" for line in lines)
+
+
+def unused(path: Path) -> Path:
+    """``path``, or where it is taken the first of ``path_2``, ``path_3`` that is not."""
+    numbered = (path.with_name(f"{path.stem}_{k}{path.suffix}") for k in itertools.count(2))
+    return next(free for free in itertools.chain([path], numbered) if not free.exists())
+
+
+class Folders:
+    """The folders, named by who started a node, in which others may have it read and write files."""
+
+    def __init__(self, folders: Iterable[str | os.PathLike[str]]) -> None:
+        self._places = [Path(folder).expanduser().resolve() for folder in folders]
+
+    def check(self, path: str | os.PathLike[str], ending: str = "") -> None:
+        """Raise InputError for a path that leads out of the folders, links followed, or has another ending."""
+        place = Path(path).resolve()
+        if not any(place.is_relative_to(folder) for folder in self._places):
+            raise InputError(path, "lies in none of the folders that the parameter folders names")
+        if ending and place.suffix != ending:
+            raise InputError(path, f"must end in {ending}")
+
+
+@contextmanager
+def for_peers(log: Callable[[str], object]) -> Iterator[None]:
+    """The boundary around what others ask a node to read.
+
+    They get the place of a fault in a file, and ``log`` the whole line. Errors about what they asked for pass.
+    """
+    try:
+        yield
+    except InputError as error:
+        if error.place is None:
+            raise
+        log(str(error))
+        place = f" ({error.place})" if error.place else ""
+        raise InputError(error.source, f"cannot be used{place}: the log of the node says why") from error
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from os import PathLike
 from typing import Any, TypeVar, get_args
 
@@ -41,7 +41,9 @@ def checked(model: type[Model], data: object, source: str | PathLike[str], kind:
     """``data`` as a ``model``; raises InputError with every problem. ``kind`` of ``source``: "a twin file"."""
     found = problems(model, data, kind)
     if found:
-        raise InputError(source, "; ".join(found))
+        error = InputError(source, "; ".join(found))
+        error.place = ", ".join(dict.fromkeys(_places(model, data)))
+        raise error
     return model.model_validate(data)
 
 
@@ -69,6 +71,20 @@ def _problem(model: type[BaseModel], detail: Mapping[str, Any], kind: str) -> st
     elif detail["type"] != "value_error" and not isinstance(detail["input"], dict):
         text = f"{text[0].lower()}{text[1:]}, is {shown(detail['input'])}"
     return ": ".join(part for part in (_dotted(detail), text) if part)
+
+
+def _places(model: type[BaseModel], data: object) -> Iterator[str]:
+    """Keys of ``model`` where ``data`` are wrong; of keys that are none of it, the part that they stand in."""
+    try:
+        model.model_validate(data)
+    except ValidationError as error:
+        for detail in error.errors(include_url=False):
+            known: list[int | str] = []
+            for part in detail["loc"]:
+                if not isinstance(part, int) and part not in _keys(model, known):
+                    break
+                known.append(part)
+            yield ".".join(map(str, known)) or "its first level"
 
 
 def _dotted(detail: Mapping[str, Any]) -> str:

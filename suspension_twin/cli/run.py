@@ -260,7 +260,16 @@ def _run_command(
         delay = _DISCOVERY if display.view is None else _VIEWED
         playback = None if bag is None else _playback(bag, speed, replay.loop, delay)
         with ros_context(ros.arguments) as context:
-            composed = Composed(context, twin, ros.namespace, playback, live.source or (), live.learn_road)
+            beside = [path.absolute().parent for path in (twin, bag, live.learn_road) if path is not None]
+            composed = Composed(
+                context,
+                twin,
+                ros.namespace,
+                playback,
+                live.source or (),
+                live.learn_road,
+                folders=[Path.cwd(), *beside],
+            )
             try:
                 if ros.params is not None:
                     check_names(ros.params, wanted, composed.parameter_names())

@@ -17,7 +17,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError, WorkError
-from suspension_twin.files import replacing
+from suspension_twin.files import open_file, replacing
 from suspension_twin.road import Road, load_road
 from suspension_twin.vehicle.twin import Datum, RoadFile, Twin, load_twin, save_twin
 
@@ -186,8 +186,8 @@ def _settle_in(bag: Path, out: Path, name: str) -> Path:
     if twin.road is None or twin.datum is None:
         raise InputError(bag / "twin.yaml", "road", "and datum are needed by the demo")
     road = out / f"{name}.crg"
-    with replacing(road) as temporary:
-        shutil.copyfile(twin.road.file, temporary)
+    with replacing(road) as temporary, open_file(twin.road.file) as given, temporary.open("wb") as there:
+        shutil.copyfileobj(given, there)
     start = out / ("start.yaml" if name == LEARNT else f"start_{name}.yaml")
     save_twin(twin.model_copy(update={"road": RoadFile(file=road.resolve())}), start)
     return start

@@ -15,7 +15,7 @@ from suspension_twin.diagnosis import wording
 from suspension_twin.diagnosis.decision import Costs, Decision, decide, single, usual_level
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult
 from suspension_twin.errors import InputError
-from suspension_twin.files import Json, reading, write_text
+from suspension_twin.files import Json, read_json, read_text, reader, reading, write_text
 from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin, save_twin, twin_of_text
 
 __all__ = ["answer_of", "continued", "decided_anew", "leading_channel", "rounded", "write", "write_document"]
@@ -182,6 +182,7 @@ def rounded(value: float) -> float:
     return float(f"{float(value):.6g}")
 
 
+@reader("evidence of a diagnosis")
 def decided_anew(folder: Path, costs: Costs) -> tuple[Json, Twin | None]:
     """The document of a kept diagnosis decided anew, and the twin file that goes with it.
 
@@ -203,13 +204,12 @@ def decided_anew(folder: Path, costs: Costs) -> tuple[Json, Twin | None]:
         The folder holds no diagnosis, or one of another version.
     """
     evidence, before = (_read(folder / name) for name in ("evidence.json", "diagnosis.json"))
-    with reading(folder / "evidence.json", "evidence of a diagnosis"):
-        path = Path(evidence["twin"])
-        decision = decide(evidence, costs)
-        document = answer_of(evidence, decision)
-        twin = load_twin(path) if path.is_file() else None
-        if twin is not None and (row := kept_row(evidence, decision)) is not None:
-            twin = _twin_with(twin, row)
+    path = Path(evidence["twin"])
+    decision = decide(evidence, costs)
+    document = answer_of(evidence, decision)
+    twin = load_twin(path) if path.is_file() else None
+    if twin is not None and (row := kept_row(evidence, decision)) is not None:
+        twin = _twin_with(twin, row)
     document |= {k: before[k] for k in _KEPT if k in before}
     if document["verdict"] in WITH_SIGNATURE and "signature" in before:
         document["signature"] = before["signature"]
@@ -219,6 +219,7 @@ def decided_anew(folder: Path, costs: Costs) -> tuple[Json, Twin | None]:
     return document, twin
 
 
+@reader("evidence of a diagnosis")
 def continued(folder: Path, more: Sequence[Path], costs: Costs) -> tuple[DiagnosisRequest, Json]:
     """The request of a kept diagnosis with more drives that show the gap, and the answer before them.
 
@@ -228,17 +229,16 @@ def continued(folder: Path, more: Sequence[Path], costs: Costs) -> tuple[Diagnos
         The folder holds no diagnosis, or one of another version.
     """
     evidence, before = (_read(folder / name) for name in ("evidence.json", "diagnosis.json"))
-    with reading(folder / "evidence.json", "evidence of a diagnosis"):
-        asked = evidence["asked"]
-        request = DiagnosisRequest(
-            str(evidence["twin"]),
-            (*asked["bags"], *map(str, more)),
-            tuple(asked["reference"]),
-            int(evidence["seed"]),
-            tuple(asked["effects"]),
-            costs=costs,
-        )
-        earlier = {"verdict": before["verdict"], "answer": wording.answer(before)}
+    asked = evidence["asked"]
+    request = DiagnosisRequest(
+        str(evidence["twin"]),
+        (*asked["bags"], *map(str, more)),
+        tuple(asked["reference"]),
+        int(evidence["seed"]),
+        tuple(asked["effects"]),
+        costs=costs,
+    )
+    earlier = {"verdict": before["verdict"], "answer": wording.answer(before)}
     return request, earlier
 
 
@@ -267,7 +267,7 @@ def _read(path: Path) -> Json:
     if not path.is_file():
         raise InputError(str(path.parent), f"holds no {path.name}: it is no folder of a diagnosis")
     with reading(path, "a file of a diagnosis"):
-        found = json.loads(path.read_text(encoding="utf-8"))
+        found = read_json(path)
     if not isinstance(found, dict):
         raise InputError(str(path), "is no diagnosis")
     return found
@@ -297,7 +297,7 @@ def hand_on(twin: Twin, given: Path, path: Path) -> None:
     if not given.is_file() or load_twin(given) != twin:
         save_twin(twin, path)
         return
-    text = given.read_text(encoding="utf-8")
+    text = read_text(given)
     if twin.road is not None and given.parent.resolve() != path.parent.resolve():
         here, there = (
             Path(os.path.relpath(twin.road.file, p.parent.resolve())).as_posix() for p in (given, path)

@@ -19,7 +19,7 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.unpack import Budget
 from suspension_twin.errors import InputError, shown
-from suspension_twin.files import read_bytes, reading
+from suspension_twin.files import open_file, read_bytes, reading
 
 __all__ = ["DataTable", "RecordedFiles", "number", "read_array", "read_table"]
 
@@ -72,13 +72,14 @@ class RecordedFiles:
 
     def _zip(self) -> Mapping[str, str | Path] | None:
         """Names of an archive's members; None where it is no archive."""
-        if not self.path.is_file() and self.path.exists():
-            raise InputError(self.path, "is not a regular file")
+        file = open_file(self.path)
         try:
-            if not zipfile.is_zipfile(self.path):
+            if not zipfile.is_zipfile(file):
+                file.close()
                 return None
-            self._archive = zipfile.ZipFile(self.path)
+            self._archive = zipfile.ZipFile(file)
         except zipfile.BadZipFile:
+            file.close()
             raise InputError(self.path, "the zip archive is damaged") from None
         self._budget = Budget(self.path, self.path.stat().st_size)
         entries = self._archive.infolist()
@@ -87,7 +88,7 @@ class RecordedFiles:
         return {name.split("/", 1)[1] if wrapped else name: name for name in names}
 
     def _file(self) -> Mapping[str, str | Path]:
-        with self.path.open("rb") as file:
+        with open_file(self.path) as file:
             if file.read(4) == b"PK\x03\x04":
                 raise InputError(self.path, "the zip archive is cut off: copy it again")
         return {self.path.name: self.path}
@@ -143,7 +144,7 @@ class RecordedFiles:
     def _open(self, name: str) -> IO[bytes]:
         member = self._members[name]
         if isinstance(member, Path):
-            return member.open("rb")
+            return open_file(member)
         assert self._archive is not None
         return self._archive.open(member)
 

@@ -34,7 +34,7 @@ from suspension_twin.drive.stamps import began_again, unwrapped
 from suspension_twin.drive.streams import Series, Streams
 from suspension_twin.drive.types import FixData, HeadingData, VelocityData
 from suspension_twin.errors import InputError, shown
-from suspension_twin.files import read_yaml, reading
+from suspension_twin.files import read_yaml, reader
 from suspension_twin.schema import Strict, checked
 from suspension_twin.units import STANDARD_GRAVITY
 
@@ -287,13 +287,13 @@ ClockSpec.model_rebuild()
 TimeSpec.model_rebuild()
 
 
+@reader("a mapping file")
 def load_mapping(path: str | Path) -> Mapping:
     """Read and check a mapping file; InputError names the file and the key."""
-    with reading(path, "a mapping file"):
-        data = read_yaml(path)
-        if not isinstance(data, dict):
-            raise InputError(path, "not a mapping file: keys imu, fix, vel or bag are expected")
-        return checked(Mapping, data, path, "a mapping file")
+    data = read_yaml(path)
+    if not isinstance(data, dict):
+        raise InputError(path, "not a mapping file: keys imu, fix, vel or bag are expected")
+    return checked(Mapping, data, path, "a mapping file")
 
 
 # Reading by a mapping

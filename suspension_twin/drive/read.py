@@ -17,7 +17,7 @@ from suspension_twin.drive.contents import Contents, decode_topic, topic_name
 from suspension_twin.drive.recording import read_recording
 from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, VelocityData
 from suspension_twin.errors import InputError
-from suspension_twin.files import reading
+from suspension_twin.files import reader
 
 __all__ = ["TYPES", "Topics", "read_drive"]
 
@@ -61,6 +61,7 @@ TYPES: dict[str, tuple[str, ...]] = {
 }
 
 
+@reader("a recorded drive")
 def read_drive(path: str | Path, *, topics: Topics | None = None) -> Drive:
     """Read one drive from a recording.
 
@@ -93,8 +94,7 @@ def read_drive(path: str | Path, *, topics: Topics | None = None) -> Drive:
     >>> drive.name, len(drive.imu), len(drive.fix)
     ('bump_15kmh', 6954, 694)
     """
-    with reading(path, "a recorded drive"):
-        return _read(path, topics or Topics())
+    return _read(path, topics or Topics())
 
 
 def _read(path: str | Path, topics: Topics) -> Drive:

@@ -36,7 +36,7 @@ from suspension_twin.drive.salvage import (
 )
 from suspension_twin.drive.unpack import ZSTD_MAGIC, Budget, TooLarge, inflate
 from suspension_twin.errors import InputError, SuspensionTwinError
-from suspension_twin.files import read_yaml, reading
+from suspension_twin.files import open_file, read_bytes, read_yaml, reader, reading
 
 __all__ = ["is_recording", "read_recording", "read_whole"]
 
@@ -52,7 +52,7 @@ _OVERHEAD: Final = 64
 
 
 def _magic(path: Path) -> bytes:
-    with path.open("rb") as file:
+    with open_file(path) as file:
         return file.read(16)
 
 
@@ -74,6 +74,7 @@ def is_recording(path: str | Path) -> bool:
     return _format(head) is not None or head.startswith(b"#ROSBAG")
 
 
+@reader("a recording")
 def read_recording(path: str | Path, topics: Collection[str] | None = None) -> Contents:
     """Raw messages of the ``topics`` wanted (all if None), in the order they were recorded.
 
@@ -85,26 +86,25 @@ def read_recording(path: str | Path, topics: Collection[str] | None = None) -> C
     if path.name == "metadata.yaml":
         path = path.parent
     contents = Contents("cdr", None if topics is None else {topic_name(name) for name in topics})
-    with reading(path, "a recording"):
-        files = _files(path, contents.warnings) if path.is_dir() else [path]
-        if not files:
-            raise InputError(path, _no_recording(path))
-        contents.budget = Budget(path, sum(file.stat().st_size for file in files))
-        unreadable: list[InputError] = []
-        for file in files:
-            try:
-                with reading(file, "a recording"):
-                    _read_file(file, contents)
-            except TooLarge:
+    files = _files(path, contents.warnings) if path.is_dir() else [path]
+    if not files:
+        raise InputError(path, _no_recording(path))
+    contents.budget = Budget(path, sum(file.stat().st_size for file in files))
+    unreadable: list[InputError] = []
+    for file in files:
+        try:
+            with reading(file, "a recording"):
+                _read_file(file, contents)
+        except TooLarge:
+            raise
+        except InputError as error:
+            if len(files) == 1:
                 raise
-            except InputError as error:
-                if len(files) == 1:
-                    raise
-                unreadable.append(error)
-                contents.warnings.append(f"left out {error}")
-        if len(unreadable) == len(files):
-            raise unreadable[0]
-        contents.finish()
+            unreadable.append(error)
+            contents.warnings.append(f"left out {error}")
+    if len(unreadable) == len(files):
+        raise unreadable[0]
+    contents.finish()
     return contents
 
 
@@ -158,8 +158,6 @@ def _listed(folder: Path, warnings: list[str], expected: bool) -> list[str] | No
 
 
 def _read_file(path: Path, contents: Contents) -> None:
-    if path.exists() and not path.is_file():
-        raise InputError(path, "is not a regular file")
     head = _magic(path)
     if not head:
         raise InputError(path, "empty")
@@ -187,7 +185,7 @@ def _read_compressed(path: Path, contents: Contents) -> None:
     """A file compressed as a whole (rosbag2's compression mode FILE)."""
     with tempfile.TemporaryDirectory() as folder:
         bare = Path(folder) / path.name.removesuffix(".zstd")
-        packed = path.read_bytes()
+        packed = read_bytes(path, path.stat().st_size)
         unpacked, complete = inflate("zstd", packed, Budget(path, len(packed)))
         bare.write_bytes(unpacked)
         del packed, unpacked
@@ -317,7 +315,8 @@ def _with_pending_writes(path: Path, contents: Contents) -> Iterator[Path]:
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / path.name
         for source in (path, *pending):
-            shutil.copyfile(source, copy.with_name(source.name))
+            with open_file(source) as pages, copy.with_name(source.name).open("wb") as there:
+                shutil.copyfileobj(pages, there)
         # where it is too damaged for SQLite its pages are salvaged
         with suppress(sqlite3.Error), closing(sqlite3.connect(copy)) as database:
             database.execute("PRAGMA journal_mode=DELETE").fetchone()

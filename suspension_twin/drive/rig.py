@@ -24,7 +24,7 @@ from suspension_twin.drive.foreign_files import read_table
 from suspension_twin.drive.recording import is_recording, read_recording
 from suspension_twin.drive.stamps import of_one_recording
 from suspension_twin.errors import InputError
-from suspension_twin.files import comment_lines, read_bytes, reading, replacing
+from suspension_twin.files import comment_lines, read_bytes, reader, replacing
 from suspension_twin.units import STANDARD_GRAVITY
 
 __all__ = ["QUANTITIES", "RigRecord", "read_rig", "write_rig"]
@@ -70,11 +70,11 @@ class RigRecord:
     warnings: tuple[str, ...] = ()
 
 
+@reader("a run of a rig")
 def read_rig(path: str | Path) -> RigRecord:
     """A run from a CSV or a recording; InputError names the file and the quantity that is wrong or missing."""
     path = Path(path)
-    with reading(path, "a run of a rig"):
-        return _checked(path, *(_of_recording if path.is_dir() or is_recording(path) else _of_table)(path))
+    return _checked(path, *(_of_recording if path.is_dir() or is_recording(path) else _of_table)(path))
 
 
 def _checked(path: Path, columns: dict[str, Floats], warnings: list[str]) -> RigRecord:
@@ -107,6 +107,7 @@ def write_rig(record: RigRecord, path: Path, comment: str = "") -> None:
     digits = ["%.15g", *["%.6g"] * len(record.columns)]
     with replacing(path) as temporary:
         np.savetxt(temporary, np.stack(list(table.values()), axis=1), digits, ",", header=head, comments="")
+        _checked(path, *_of_table(temporary))  # or it would be refused when it is read
 
 
 def _of_table(path: Path) -> tuple[dict[str, Floats], list[str]]:

@@ -24,6 +24,7 @@ from rosbags.rosbag1.reader import Header, RecordType
 from suspension_twin.drive.contents import Contents, RawTopic
 from suspension_twin.drive.unpack import Budget, inflate
 from suspension_twin.errors import InputError
+from suspension_twin.files import open_file
 
 __all__ = ["MCAP_MAGIC", "ROS1_MAGIC", "SQLITE_MAGIC", "salvage_mcap", "salvage_ros1", "salvage_sqlite"]
 
@@ -140,7 +141,7 @@ class _McapRecords(_Records):
 def salvage_mcap(path: Path, contents: Contents) -> None:
     """Add the messages of an MCAP file to ``contents``, and a warning for each kind of damage."""
     records = _McapRecords(contents, path.name)
-    with path.open("rb") as file:
+    with open_file(path) as file:
         file.seek(len(MCAP_MAGIC))
         records.walk(file)
     records.report(cut_off=not records.complete)
@@ -195,7 +196,7 @@ def _sized(file: BinaryIO, end: int) -> tuple[bytes, bool]:
 def salvage_ros1(path: Path, contents: Contents) -> None:
     """Add the messages of a ROS 1 bag to ``contents``, and a warning for each kind of damage."""
     records = _Ros1Records(contents, path.name)
-    with path.open("rb") as file:
+    with open_file(path) as file:
         file.seek(len(ROS1_MAGIC))
         whole = records.walk(file) and records.index_at <= path.stat().st_size
     if whole and not records.index_at:
@@ -328,7 +329,7 @@ def salvage_sqlite(path: Path, contents: Contents) -> None:
     records = _Records(contents, path.name)
     found: dict[int, tuple[int, int, bytes]] = {}
     length = path.stat().st_size
-    with path.open("rb") as file:
+    with open_file(path) as file:
         if length >= 512 and b"CREATE TABLE topics" not in file.read(1 << 16):
             raise InputError(path, "a database, but not a rosbag2 recording (it has no topics)")
         for row, values in _Pages(file, length, contents.budget).rows() if length >= 512 else ():

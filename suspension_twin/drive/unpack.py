@@ -1,24 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Decompression within a limit: how much memory a file may take once it is unpacked.
+"""Limits of what a small file may cost: how much memory it may take once it is unpacked, and how much time.
 
 Recordings of sensors shrink to a tenth at best. A file that unpacks to thousands of times its size is made to fill a
-memory, and is refused while it unpacks, not after.
+memory, and is refused while it unpacks, not after. A library that cannot be bounded runs in a process that is.
 """
 
 from __future__ import annotations
 
 import bz2
+import json
 import os
+import pickle
+import signal
+import subprocess
+import sys
 from collections.abc import Callable
+from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
-from typing import Final, Protocol, final
+from typing import Final, Protocol, TypeVar, final
 
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
-from suspension_twin.errors import InputError
+from suspension_twin.errors import InputError, SuspensionTwinError, WorkError
+from suspension_twin.files import reading
 
-__all__ = ["VARIABLE", "ZSTD_MAGIC", "Budget", "TooLarge", "inflate"]
+__all__ = ["VARIABLE", "ZSTD_MAGIC", "Budget", "TooLarge", "inflate", "serve_child", "within_limits"]
 
 #: The environment variable that raises the limit, in MiB.
 VARIABLE: Final = "SUSPENSION_TWIN_UNPACKED_MIB"
@@ -26,6 +34,11 @@ ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 
 _FLOOR: Final = 64 << 20
 _RATIO: Final = 32
+#: s of processor time for any file and for each byte of it (tolerance, by hand: the slowest reader, that of nested
+#: MATLAB structs, takes 2 MB/s).
+_SECONDS, _SECONDS_PER_BYTE = 5.0, 2e-6
+#: Address space that a reader in a process of its own takes for each byte of the budget: its input and two copies.
+_COPIES: Final = 3
 #: Bytes fed at a time. They make 32 MiB at most (zstd: blocks of 4 bytes for 128 KiB), and a decompressor that fails
 #: returns nothing of the bytes that it was given last.
 _PIECE: Final = 1 << 10
@@ -39,7 +52,8 @@ class TooLarge(InputError):
 class Budget:
     """Bytes that ``source`` of ``size`` bytes on disk may take in memory; each part read is taken from it.
 
-    Raises InputError if the environment variable is no number of MiB.
+    ``seconds`` is the processor time that reading it may take. Raises InputError if the environment variable is no
+    number of MiB.
     """
 
     def __init__(self, source: str | Path, size: int) -> None:
@@ -48,6 +62,7 @@ class Budget:
             raise InputError(VARIABLE, f"must be a number of MiB, is {given[:40]!r}")
         self.source = source
         self.allowed = self.left = int(given) << 20 if given else max(_FLOOR, _RATIO * size)
+        self.seconds = _SECONDS + _SECONDS_PER_BYTE * size
 
     def take(self, count: int) -> None:
         """``count`` bytes more; raises TooLarge where they are too many."""
@@ -58,6 +73,81 @@ class Budget:
                 f"unpacks to more than {self.allowed >> 20} MiB: if that is right, {VARIABLE}="
                 f"{2 * max(self.allowed >> 20, 1)} in the environment allows more",
             )
+
+
+Found = TypeVar("Found")
+
+#: The child finds the package where this process found it, and nothing in the folder in which it is started.
+_CHILD: Final = (
+    "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
+    "from suspension_twin.drive.unpack import serve_child; serve_child()"
+)
+
+
+def within_limits(
+    function: Callable[..., Found], *arguments: object, budget: Budget, kind: str, module: str
+) -> Found:
+    """``function(*arguments)`` in a process of its own, which gets the memory and the time of ``budget`` and no more.
+
+    For readers of foreign files in libraries that cannot be bounded. ``module`` is the library, which is imported
+    before the limits hold; ``kind`` names the file in errors, see :func:`reading`. Function, arguments and result are
+    pickled over pipes that only the two hold. Raises what ``function`` raises as one line about the file; InputError
+    where it takes too much.
+    """
+    asked = pickle.dumps((function, arguments, budget, kind, module))
+    done = subprocess.run(
+        [sys.executable, "-I", "-c", _CHILD, json.dumps(sys.path)],
+        input=asked,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+        check=False,
+    )
+    if done.returncode == 0:
+        found, error = pickle.loads(done.stdout)
+        if error is not None:
+            raise (InputError if error[0] == InputError.exit_status else WorkError)(error[1])
+        result: Found = found
+        return result
+    if done.returncode in (-getattr(signal, "SIGXCPU", 0), -getattr(signal, "SIGKILL", 0)):
+        words = f"is not {kind} that can be read in {budget.seconds:.0f} s: damaged, or too large"
+        raise InputError(budget.source, words)
+    raise InputError(budget.source, f"is not {kind} that can be read: its reader failed")
+
+
+def serve_child() -> None:
+    """Answer the one request of :func:`within_limits` on the standard streams; libraries may print meanwhile."""
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    function, arguments, budget, kind, module = pickle.load(sys.stdin.buffer)
+    try:
+        with reading(budget.source, kind):
+            import_module(module)
+            _limit(budget)
+            found = function(*arguments)
+        answer = pickle.dumps((found, None))
+    except SuspensionTwinError as wrong:
+        answer = pickle.dumps((None, (wrong.exit_status, str(wrong))))
+    answers.write(answer)
+    answers.close()
+    os._exit(0)
+
+
+def _limit(budget: Budget) -> None:
+    """Limit the address space and the processor time of this process to what it has and what the budget gives."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    spent = used.ru_utime + used.ru_stime
+    seconds = int(spent + budget.seconds) + 1
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    with suppress(OSError), open("/proc/self/statm", "rb") as file:
+        held = int(file.read().split()[0]) * resource.getpagesize()
+        most = held + _COPIES * budget.allowed
+        resource.setrlimit(resource.RLIMIT_AS, (most, most))
 
 
 class _Decompressor(Protocol):

@@ -14,6 +14,8 @@ import threading
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
+from copy import copy
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import final
@@ -116,6 +118,7 @@ class BagWriter:
             self._bag.open()
             if self.live and self.bare:
                 os.rename(self._storage.path, self.path)
+            self._describe()
             undo.pop_all()
         return self
 
@@ -228,9 +231,20 @@ class BagWriter:
         if storage.chunk.msgs:
             storage.close_chunk()
         storage.bio.flush()
+        self._describe()
         if self._syncing is None or not self._syncing.is_alive():
             self._syncing = threading.Thread(target=_synchronised, args=(storage.bio.fileno(),), daemon=True)
             self._syncing.start()
+
+    def _describe(self) -> None:
+        """Write ``metadata.yaml`` of what is there, so that a live folder is a recording at any moment.
+
+        The writer describes a recording when it closes it: a copy of it does, whose storage stays open.
+        """
+        if self.live and not self.bare:
+            described = copy(self._bag)
+            described.storage = _Open(self._storage.path)  # type: ignore[assignment]
+            described.close()
 
     def _end(self) -> None:
         """Finish a live recording in its place; on failure the messages written so far stay."""
@@ -263,6 +277,16 @@ class BagWriter:
             raise
         with suppress(OSError):
             synchronise(self.path.parent)
+
+
+@dataclass(frozen=True)
+class _Open:
+    """The place of a storage that is not closed yet."""
+
+    path: Path
+
+    def close(self, version: int, metadata: str) -> None:
+        """Leave it open."""
 
 
 def _synchronised(file: int) -> None:

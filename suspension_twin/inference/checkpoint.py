@@ -16,8 +16,8 @@ import hashlib
 import json
 import re
 import shutil
-import zipfile
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from pathlib import Path
@@ -29,7 +29,7 @@ import suspension_twin
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import sources
 from suspension_twin.errors import InputError
-from suspension_twin.files import Json, check_writable, replacing
+from suspension_twin.files import Json, check_writable, open_file, reading, replacing
 from suspension_twin.inference.parallel import no_progress, side_by_side
 
 __all__ = ["STATE", "Checkpoint", "Rounds", "State", "code_digest", "decoded", "encoded", "stored"]
@@ -68,15 +68,14 @@ class Checkpoint:
 
     def load(self, name: str = "") -> State | None:
         """The last whole state of this very problem, or None: then the search starts anew."""
-        try:
-            with np.load(self._file(name), allow_pickle=False) as stored:
+        path = self._file(name)
+        with suppress(InputError), reading(path, "a state"), open_file(path) as file:
+            with np.load(file, allow_pickle=False) as stored:
                 arrays = {name: np.array(stored[name]) for name in stored.files}
-            index = json.loads(str(arrays.pop(_INDEX)))
-            if index["format"] != _FORMAT or index["fingerprint"] != self.fingerprint:
-                return None
-            return State(str(index["stage"]), arrays, dict(index["plain"]))
-        except (OSError, KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile):
-            return None
+            index = json.loads(str(arrays.pop(_INDEX)))  # a cost may be infinite here
+            if index["format"] == _FORMAT and index["fingerprint"] == self.fingerprint:
+                return State(str(index["stage"]), arrays, dict(index["plain"]))
+        return None
 
     def save(self, state: State, name: str = "") -> None:
         """Write the state; a process killed within leaves the one before."""

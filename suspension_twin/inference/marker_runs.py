@@ -17,8 +17,9 @@ from scipy.interpolate import make_smoothing_spline
 from suspension_twin.arrays import Floats, interpolated
 from suspension_twin.drive.contents import decode_topic, topic_name
 from suspension_twin.drive.recording import read_recording
+from suspension_twin.drive.unpack import Budget
 from suspension_twin.errors import InputError
-from suspension_twin.files import reading
+from suspension_twin.files import open_text, reader
 from suspension_twin.inference.priors import SINGLE
 from suspension_twin.vehicle.tracked import TrackedVehicle
 
@@ -42,6 +43,8 @@ _KINDS: Final = tuple(f"{motion}_{unit}" for motion, unit in zip(_MOTION, ("mm",
 _POSE_TYPE: Final = "geometry_msgs/msg/PoseStamped"
 #: Hz, cut-off of the low-pass of measured and simulated signals: accelerations by photogrammetry are noise above it.
 CUTOFF: Final = 6.0
+#: Bytes that a stamp of the grid takes: nine columns of motion, before and after the filter.
+_STAMP: Final = 144
 #: Least noise (standard deviation) of displacement m, velocity m/s and acceleration m/s² of A, B, C by photogrammetry.
 FLOORS: Final = np.repeat([SINGLE[f"marker_{kind}"] for kind in _MOTION], len(MARKERS))
 
@@ -76,10 +79,10 @@ def run_speed(path: str | Path) -> float:
     return float(found.group(1)) / 3.6
 
 
+@reader("a run")
 def read_run(path: str | Path, vehicle: TrackedVehicle, speed: float | None = None) -> MarkerRun:
     """A run from a CSV of marker tracks, or from the poses in a recording (folder, ``.mcap``, ``.db3``)."""
-    with reading(path, "a run"):
-        return _read(Path(path), vehicle, speed)
+    return _read(Path(path), vehicle, speed)
 
 
 def _read(path: Path, vehicle: TrackedVehicle, speed: float | None) -> MarkerRun:
@@ -89,6 +92,7 @@ def _read(path: Path, vehicle: TrackedVehicle, speed: float | None) -> MarkerRun
     return read_markers(path, speed)
 
 
+@reader("a run")
 def read_markers(path: str | Path, speed: float, *, rate: float = RATE) -> MarkerRun:
     """Marker tracks from a CSV: ``time_s`` and ``A_displacement_mm``, ``A_velocity_m_s``, ``A_acceleration_m_s2``,
     B and C likewise, in any order.
@@ -99,7 +103,7 @@ def read_markers(path: str | Path, speed: float, *, rate: float = RATE) -> Marke
     """
     path = Path(path)
     try:
-        with path.open(encoding="utf-8-sig") as file:
+        with open_text(path) as file:
             names = [_column(name.strip()) for name in file.readline().split(",")]
             _check_header(path, names)
             table = np.loadtxt(file, delimiter=",", ndmin=2)
@@ -178,6 +182,7 @@ def low_pass(motion: Floats, rate: float) -> Floats:
 def _resampled(
     t: Floats, motion: list[Floats], rate: float, speed: float, name: str, seen: tuple[bool, ...]
 ) -> MarkerRun:
+    Budget(name, t.nbytes).take(int(_STAMP * min(np.ptp(t) * rate, 1e15)))
     first = np.ceil(t[0] * rate - 1e-9)
     grid = np.arange(first, np.floor(t[-1] * rate + 1e-9) + 1) / rate
     if grid.size < 20:
@@ -186,6 +191,7 @@ def _resampled(
     return MarkerRun(grid, z, v, a, speed, name, seen)
 
 
+@reader("a run")
 def read_poses(
     path: str | Path, vehicle: TrackedVehicle, speed: float, *, topic: str = "/pose", rate: float = RATE
 ) -> MarkerRun:

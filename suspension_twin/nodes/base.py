@@ -28,6 +28,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
+from suspension_twin.files import Folders
 from suspension_twin.live.twin import DigitalTwin
 from suspension_twin.nodes.parameters import Param, ParameterSet, Values
 from suspension_twin.nodes.process import run_alone
@@ -202,6 +203,11 @@ class TwinNode(Node):  # type: ignore[misc]
     def values(self) -> Values:
         """The present values of the parameters."""
         return self._set.values
+
+    @property
+    def folders(self) -> Folders:
+        """The folders in which others may have this node read and write files."""
+        return self._set.folders
 
     @property
     def simulated_time(self) -> bool:

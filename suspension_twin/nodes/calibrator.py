@@ -19,7 +19,7 @@ from rclpy.timer import Timer
 
 from suspension_twin.calibration.request import Progress
 from suspension_twin.errors import SuspensionTwinError
-from suspension_twin.files import reading
+from suspension_twin.files import for_peers, reading
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.jobs import (
     DiagnosisStep,
@@ -29,11 +29,12 @@ from suspension_twin.nodes.jobs import (
     Work,
     Worker,
     calibration_job,
+    check_paths,
     diagnosis_job,
     run_calibration,
     run_diagnosis,
 )
-from suspension_twin.nodes.parameters import TWIN, Param, Values, twin_of
+from suspension_twin.nodes.parameters import FOLDERS, TWIN, Param, Values, twin_of
 from suspension_twin.nodes.topics import OK, WARN, Embedding
 from suspension_twin_interfaces.action import Calibrate, Diagnose
 
@@ -109,6 +110,7 @@ class CalibratorNode(TwinNode):
 
     parameters = (
         TWIN,
+        FOLDERS,
         Param("threads", 0, "Threads that a calibration or diagnosis may use; 0: one per core.", 0, 1024),
         Param(
             "cancel_patience",
@@ -209,8 +211,12 @@ class CalibratorNode(TwinNode):
             return action.kind.Result(message=self._busy())
         try:
             options = {name: self.values[name] for name in action.options}
-            with reading(action.name, "a goal"):  # anybody may send one: no path in it ends the node
+            with reading(action.name, "a goal"), for_peers(self.log.warning):
+                check_paths(goal.request, self.folders, self.values["twin"])
                 job = action.job_of(goal.request, self.values["twin"], self.values["threads"], **options)
+                self.folders.check(
+                    job.output
+                )  # beside a recording that is a folder itself, it may lie out of it
         except SuspensionTwinError as error:
             self.note("rejected goals", WARN, f"{action.name}: {error}")
             goal.abort()

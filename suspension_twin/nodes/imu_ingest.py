@@ -19,6 +19,7 @@ from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.messages import put_stamp
 from suspension_twin.nodes.parameters import (
     FILTER,
+    FOLDERS,
     LOW_PASS,
     TWIN,
     Param,
@@ -50,6 +51,7 @@ class ImuIngestNode(TwinNode):
 
     parameters = (
         TWIN,
+        FOLDERS,
         *FILTER,
         Param("base_frame", "base_link", "Frame of the published messages.", read_only=True),
         Param(

@@ -24,11 +24,12 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from suspension_twin.calibration import request as calibration
+from suspension_twin.calibration.output import details_path
 from suspension_twin.calibration.presets import preset_named
 from suspension_twin.diagnosis import request as diagnosis
 from suspension_twin.drive.read import drive_name
 from suspension_twin.errors import InputError, SuspensionTwinError, printable
-from suspension_twin.files import together
+from suspension_twin.files import Folders, together, unused
 from suspension_twin.vehicle.twin import load_twin
 
 __all__ = [
@@ -40,6 +41,7 @@ __all__ = [
     "Work",
     "Worker",
     "calibration_job",
+    "check_paths",
     "diagnosis_job",
     "run_calibration",
     "run_diagnosis",
@@ -86,6 +88,16 @@ def _twin_of(goal: Any, twin_file: str) -> str:
     return path
 
 
+def check_paths(goal: Any, folders: Folders, twin_file: str) -> None:
+    """Raise InputError where a goal names a file out of the folders of the node, or a result over something else."""
+    if goal.twin and goal.twin != twin_file:
+        folders.check(goal.twin, ".yaml")
+    for path in (*goal.bags, *getattr(goal, "reference", ())):
+        folders.check(path)
+    if goal.output:
+        folders.check(goal.output, "" if hasattr(goal, "reference") else ".yaml")
+
+
 def _recordings(paths: Sequence[str], name: str, needed: bool = True) -> tuple[str, ...]:
     """Paths of recordings, checked to exist; ``name`` is the goal's field."""
     if needed and not paths:
@@ -97,9 +109,9 @@ def _recordings(paths: Sequence[str], name: str, needed: bool = True) -> tuple[s
 
 
 def _output(given: str, first: str, suffix: str) -> Path:
-    """The path of the result: as given, else beside the first recording."""
+    """The path of the result: as given, else beside the first recording, where nothing is yet."""
     recording = Path(first)
-    return Path(given) if given else recording.parent / f"{drive_name(recording)}_{suffix}"
+    return Path(given) if given else unused(recording.parent / f"{drive_name(recording)}_{suffix}")
 
 
 def _writable(folder: Path) -> bool:
@@ -114,6 +126,8 @@ def calibration_job(goal: Any, twin_file: str, threads: int, keep_sensor: bool =
     output = _output(goal.output, bags[0], "calibrated.yaml")
     if output.is_dir() or not _writable(output.parent):
         raise InputError(output, "cannot be written: name a file in a folder that exists")
+    if output.exists() and not details_path(output).exists():
+        raise InputError(output, "is no result of a calibration: not overwritten")
     request = calibration.CalibrationRequest(
         twin=twin,
         bags=bags,
@@ -134,6 +148,8 @@ def diagnosis_job(goal: Any, twin_file: str, threads: int) -> Job:
     folder = _output(goal.output, bags[0], "diagnosis")
     if not _writable(folder if folder.exists() else folder.parent):
         raise InputError(folder, "cannot be written: name a folder, in one that exists")
+    if folder.exists() and any(folder.iterdir()) and not (folder / "diagnosis.json").exists():
+        raise InputError(folder, "is no folder of a diagnosis: not overwritten")
     request = diagnosis.DiagnosisRequest(twin, bags, reference, int(goal.seed))
     return Job(request, str(folder), threads)
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -16,12 +17,13 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from suspension_twin.errors import InputError
-from suspension_twin.files import read_yaml, reading
+from suspension_twin.files import Folders, for_peers, read_yaml, reader, reading
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.vehicle.twin import Twin, load_twin
 
 __all__ = [
     "FILTER",
+    "FOLDERS",
     "LOW_PASS",
     "TWIN",
     "Param",
@@ -29,6 +31,7 @@ __all__ = [
     "Values",
     "check_names",
     "filter_of",
+    "folders_of",
     "low_pass_text",
     "read_param_file",
     "twin_of",
@@ -103,6 +106,7 @@ class ParameterSet:
         self._changed = changed
         self.values: Values = {p.name: self._declare(p) for p in self._params.values()}
         self._refuse_unusable(self.values)
+        self.folders = folders_of(self.values)
         node.add_on_set_parameters_callback(self._on_set)
         node.add_post_set_parameters_callback(self._after_set)
 
@@ -136,7 +140,11 @@ class ParameterSet:
                 for parameter in parameters:
                     if parameter.name in self._params and parameter.value is None:
                         raise InputError(parameter.name, "cannot be unset")
-                self._refuse_unusable(self._merged(parameters))
+                values = self._merged(parameters)
+                if (path := values.get("twin")) and path != self.values["twin"]:
+                    self.folders.check(path, ".yaml")
+                with for_peers(self._node.get_logger().warning):
+                    self._refuse_unusable(values)
         except InputError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -151,6 +159,22 @@ class ParameterSet:
 # Parameters that several nodes share
 
 TWIN = Param("twin", "", "Path of the twin file; setting it resets the node. Empty: none.")
+
+FOLDERS = Param(
+    "folders",
+    "",
+    "Folders, with a colon between them, in which goals, services and parameters set later may name files; empty: the "
+    "folder of the twin file and that in which the node was started.",
+    read_only=True,
+)
+
+
+def folders_of(values: Values) -> Folders:
+    """The folders that ``folders`` names, or those that it stands for where it is empty."""
+    if values.get("folders"):
+        return Folders(values["folders"].split(os.pathsep))
+    return Folders([".", *([Path(values["twin"]).parent] if values.get("twin") else [])])
+
 
 _FILTER = FilterSpec()
 #: The same in imu_ingest and suspension_model, or measured and simulated signals cannot be compared.
@@ -195,6 +219,7 @@ def low_pass_text(values: Values) -> str:
 # Parameter files, checked before ROS reads them: rcl ignores a name that no node has
 
 
+@reader("a parameter file")
 def read_param_file(path: Path) -> dict[str, dict[str, Any]]:
     """Values by node (as the file names it: a name, a path or a pattern) and dotted parameter name.
 

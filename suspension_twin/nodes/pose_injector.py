@@ -19,6 +19,7 @@ from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.messages import fill_odometry, put_stamp, sigmas_of, yaw_of
 from suspension_twin.nodes.parameters import (
     FILTER,
+    FOLDERS,
     LOW_PASS,
     TWIN,
     Param,
@@ -65,6 +66,7 @@ class PoseInjectorNode(TwinNode):
 
     parameters = (
         TWIN,
+        FOLDERS,
         *FILTER,
         Param("map_frame", "map", "Frame in which the pose is given.", read_only=True),
         Param("base_frame", "base_link", "Frame whose pose is given.", read_only=True),

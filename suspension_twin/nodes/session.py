@@ -181,7 +181,8 @@ class Session:
 
     @contextmanager
     def _composed(self, twin_file: Path | str, playback: Playback | None) -> Iterator[Composed]:
-        composed = Composed(self._context, twin_file, self._namespace, playback)
+        everywhere = [Path(Path.cwd().anchor)]  # nobody else reaches these nodes
+        composed = Composed(self._context, twin_file, self._namespace, playback, folders=everywhere)
         try:
             yield composed
         finally:

@@ -23,6 +23,7 @@ from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.messages import read_odometry
 from suspension_twin.nodes.parameters import (
     FILTER,
+    FOLDERS,
     LOW_PASS,
     TWIN,
     Param,
@@ -75,6 +76,7 @@ class SuspensionModelNode(TwinNode):
 
     parameters = (
         TWIN,
+        FOLDERS,
         *FILTER,
         Param("map_frame", "map", "Frame of twin/odom.", read_only=True),
         Param("base_frame", "base_link", "Frame of the vehicle's body.", read_only=True),

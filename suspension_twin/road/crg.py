@@ -9,7 +9,6 @@ itself ends the process. So every file is read here once against the format desc
 
 from __future__ import annotations
 
-import json
 import logging
 import math
 import os
@@ -26,7 +25,7 @@ from pycrg import constants as c
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError, shown
-from suspension_twin.files import read_bytes, reading, replacing
+from suspension_twin.files import read_bytes, read_json, reader, replacing
 from suspension_twin.road.road import Border, Borders, Fade, ReferenceLine, Road
 
 __all__ = ["CrgFile", "examine", "load_road", "record_path", "scan_holes", "warning_of", "write_road"]
@@ -34,6 +33,7 @@ __all__ = ["CrgFile", "examine", "load_road", "record_path", "scan_holes", "warn
 _LOGGER = logging.getLogger("pycrg")
 
 
+@reader("an OpenCRG road")
 def load_road(path: str | os.PathLike[str]) -> Road:
     """Read an OpenCRG file, its modifiers and options honoured.
 
@@ -62,15 +62,14 @@ def load_road(path: str | os.PathLike[str]) -> Road:
     80
     """
     path = Path(path)
-    with reading(path, "an OpenCRG road"):
-        file = examine(path)
-        with _quietly() as notes:
-            try:
-                with pycrg.DataSet.open(path) as data:
-                    road = _road(path, file, data)
-            except (pycrg.OpenCRGError, OSError) as error:
-                raise InputError(path, _one_line(str(error))) from error
-        return replace(road, notes=tuple(dict.fromkeys(notes)))
+    file = examine(path)
+    with _quietly() as notes:
+        try:
+            with pycrg.DataSet.open(path) as data:
+                road = _road(path, file, data)
+        except (pycrg.OpenCRGError, OSError) as error:
+            raise InputError(path, _one_line(str(error))) from error
+    return replace(road, notes=tuple(dict.fromkeys(notes)))
 
 
 def _road(path: Path, file: CrgFile, data: pycrg.DataSet) -> Road:
@@ -199,8 +198,20 @@ def write_road(road: Road, path: str | os.PathLike[str], comment: str = "") -> N
                 opts=options or None,
                 mods={},
             )
+            _check_written(road, temporary)
     except ValueError as error:
         raise InputError(road.name, f"does not fit into an OpenCRG file: {_one_line(str(error))}") from error
+
+
+def _check_written(road: Road, path: Path) -> None:
+    """Raise InputError where this package would refuse to read what was written."""
+    if not np.isfinite(road.z).any():
+        raise InputError(road.name, "not one height: every value is missing")
+    try:
+        examine(path)
+    except InputError as error:
+        fault = str(error).removeprefix(f"{path}: ")
+        raise InputError(road.name, f"is no road that can be read back: {fault}") from error
 
 
 def _comment(text: str) -> list[str]:
@@ -283,6 +294,7 @@ class _Header:
         return InputError(self.path, *parts)
 
 
+@reader("an OpenCRG road")
 def examine(path: Path) -> CrgFile:
     """Read a file strictly; its data section may stand in a file that it refers to.
 
@@ -544,8 +556,8 @@ def scan_holes(road: Path) -> list[dict[str, float]]:
 
 def _record(road: Path, origin: str) -> dict[str, object] | None:
     try:
-        record = json.loads(record_path(road).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        record = read_json(record_path(road))
+    except InputError:
         return None
     return record if isinstance(record, dict) and record.get("origin") == origin else None
 

@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
+from suspension_twin.drive.unpack import Budget
 from suspension_twin.errors import InputError
-from suspension_twin.files import read_bytes
+from suspension_twin.files import read_bytes, reader
 from suspension_twin.road.crg import load_road
 from suspension_twin.road.road import ReferenceLine, Road
 
@@ -42,8 +43,11 @@ _SIDES = {"left": 1.0, "right": -1.0}
 _TRUE = ("true", "1")
 #: Distance of long sections where a road is uneven across, m: half a narrow tyre's width.
 _ACROSS = 0.1
+#: Bytes that a point of a line or a grid takes while its height is computed: a dozen arrays.
+_NODE = 96
 
 
+@reader("an OpenDRIVE file")
 def read_opendrive(path: Path, road_id: str | None = None) -> Road:
     """The surface of one road of an OpenDRIVE file.
 
@@ -159,6 +163,7 @@ def _attached(
         if kinks := _kinks(path, road):
             nodes = [*t, *kinks, *np.arange(t[0], t[-1], _ACROSS)]
             fine = np.unique(np.round(np.clip(nodes, t[0], t[-1]), 6))
+            Budget(path, z.nbytes).take(_NODE * fine.size * s.size)
             z, t = np.array([np.interp(fine, t, row) for row in z]), fine
             z = z + _lateral(path, road, s, t, bank)
     line = ReferenceLine(x, y, ref, bank, surface.u_step, (float(heading[0]), float(heading[-1])))
@@ -255,6 +260,7 @@ def _end(path: Path, road: ElementTree.Element) -> float:
 def _line(path: Path, road: ElementTree.Element, step: float) -> Road:
     """A road's line as a level road whose u is s, with points ``step`` m apart or somewhat closer."""
     end = _end(path, road)
+    Budget(path, path.stat().st_size).take(int(_NODE * min(abs(end) / step, 1e15)))
     s = np.linspace(0.0, end, math.ceil(end / step) + 1)
     x, y, heading = _plan(path, road, s)
     line = ReferenceLine.level(x, y, float(s[1]), (float(heading[0]), float(heading[-1])))

@@ -21,8 +21,9 @@ from pathlib import Path
 import numpy as np
 
 from suspension_twin.arrays import Floats
+from suspension_twin.drive.unpack import Budget
 from suspension_twin.errors import InputError
-from suspension_twin.files import read_bytes
+from suspension_twin.files import read_bytes, reader
 from suspension_twin.road.build import grid_road
 from suspension_twin.road.road import Road
 
@@ -59,6 +60,8 @@ _ALIASES: dict[str, str] = {
     "μm": "um",
 }
 _LARGEST = 1 << 30  # bytes of a file
+#: Bytes that a height takes until its road is written: up to three long sections, and copies of them.
+_SAMPLE = 64
 #: A wheel path is as high as its line this far to its left and right, m: a tyre's width and the driver's wander.
 _HELD = 0.35
 
@@ -92,6 +95,7 @@ def _metres(text: str) -> float | None:
     return UNITS.get(_ALIASES.get(word, word))
 
 
+@reader("a profile")
 def read_profile(path: Path, unit: str | None = None) -> Profile:
     """Read a profile file: ERD by its first line, otherwise CSV.
 
@@ -201,6 +205,7 @@ def _even(path: Path, s: Floats, z: Floats) -> Profile:
         return Profile(path.name, float(s[-1] - s[0]) / (s.size - 1), z, ())
     # Uneven: the finest of the usual steps, linear between the points of each line.
     fine = float(np.quantile(step, 0.1))
+    Budget(path, z.nbytes).take(int(_SAMPLE * z.shape[0] * min(np.ptp(s) / fine, 1e15)))
     at = np.arange(s[0], s[-1] + 1e-9, fine)
     lines = []
     for line in z:

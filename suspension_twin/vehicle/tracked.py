@@ -18,7 +18,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
-from suspension_twin.files import read_yaml
+from suspension_twin.files import read_yaml, reader
 from suspension_twin.schema import Strict, checked, within
 from suspension_twin.vehicle.corners import Joint
 from suspension_twin.vehicle.twin import Imu, Twin, with_value
@@ -290,6 +290,7 @@ def parse_tracked(data: object, source: str | Path = "tracked vehicle") -> Track
     return checked(TrackedVehicle, data, source, "a tracked vehicle's file")
 
 
+@reader("a file of a tracked vehicle")
 def load_tracked(path: str | Path) -> TrackedVehicle:
     """Read and check a file such as ``config/tracked/pt91.yaml``; InputError names file and key."""
     return parse_tracked(read_yaml(path), path)

@@ -21,7 +21,7 @@ from pydantic import Field, field_validator, model_validator
 from suspension_twin.arrays import Floats
 from suspension_twin.display import axes_or_new, bulleted
 from suspension_twin.errors import InputError, nearest, shown
-from suspension_twin.files import parse_yaml, read_yaml, reading, write_text
+from suspension_twin.files import parse_yaml, read_yaml, reader, reading, write_text
 from suspension_twin.registry import Registry, missing_addons
 from suspension_twin.schema import Strict, checked, problems, within
 from suspension_twin.units import STANDARD_GRAVITY as G
@@ -632,6 +632,7 @@ def parse_twin(data: object, source: str | Path = "twin") -> Twin:
     raise InputError(source, "; ".join([wrong + missing_addons(), *rest]))
 
 
+@reader("a twin file")
 def load_twin(path: str | Path) -> Twin:
     """Read and check a twin file.
 
@@ -657,8 +658,7 @@ def load_twin(path: str | Path) -> Twin:
     'full_car'
     """
     path = Path(path)
-    with reading(path, "a twin file"):
-        return _in_folder(parse_twin(read_yaml(path), source=path), path.parent)
+    return _in_folder(parse_twin(read_yaml(path), source=path), path.parent)
 
 
 def twin_of_text(text: str, path: Path) -> Twin:

@@ -553,3 +553,27 @@ def test_a_recording_that_cannot_be_made_is_refused_before_anything_is_read(
         assert main(["import", "/dev/zero", "--out", str(out)]) == 2
         error = capsys.readouterr().err
         assert "cannot be written" in error and error.count("\n") == 1
+
+
+def test_a_live_folder_is_a_recording_from_its_beginning(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a kill leaves behind has its ``metadata.yaml``, which ``ros2 bag`` asks for."""
+    monkeypatch.setattr("suspension_twin.drive.write._KEEP", 0.0)
+    path = tmp_path / "drive"
+
+    def described() -> dict[str, Any]:
+        return dict(yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"])
+
+    with BagWriter(path, live=True) as bag:
+        assert described()["message_count"] == 0 and (path / described()["relative_file_paths"][0]).is_file()
+        for k in range(3):
+            bag.write("/fix", "sensor_msgs/msg/NavSatFix", np.array([1.7e9 + k]), {"latitude": 47.0})
+            bag.flush()
+            assert described()["message_count"] == k + 1
+            assert described()["starting_time"]["nanoseconds_since_epoch"] == 1_700_000_000_000_000_000
+            assert described()["duration"]["nanoseconds"] == k * 1_000_000_000
+        (topic,) = described()["topics_with_message_count"]
+        assert topic["topic_metadata"]["name"] == "/fix"
+        assert len(read_recording(path).topics["/fix"].data) == 3
+    assert described()["message_count"] == 3 and len(read_recording(path).topics["/fix"].data) == 3

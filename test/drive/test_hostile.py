@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import resource
 import sqlite3
 import struct
 import sys
@@ -32,6 +33,7 @@ from suspension_twin.drive.unpack import VARIABLE, Budget
 from suspension_twin.errors import InputError, SuspensionTwinError
 from suspension_twin.inference.marker_runs import read_markers
 from suspension_twin.road import load_road
+from suspension_twin.road.profile import read_profile
 from suspension_twin.vehicle.twin import load_twin
 
 MIB = 1 << 20
@@ -216,6 +218,102 @@ def test_a_matlab_file_that_unpacks_or_declares_too_much(tmp_path: Path) -> None
     for path in (v5, v73):
         with little_memory(), pytest.raises(InputError, match=TOO_LARGE):
             import_drive([path])
+
+
+def element(kind: int, data: bytes) -> bytes:
+    """An element of a MATLAB file of version 5."""
+    return struct.pack("<II", kind, len(data)) + data + bytes(-len(data) % 8)
+
+
+def declared(kind: int, count: int) -> bytes:
+    """A MATLAB file of version 5 that declares an array of ``count`` and holds nothing of it."""
+    parts = (
+        element(6, struct.pack("<II", kind, 0)),
+        element(5, struct.pack("<ii", 1, count)),
+        element(1, b"acc"),
+    )
+    return b"MATLAB 5.0".ljust(124) + b"\x00\x01IM" + element(14, b"".join(parts))
+
+
+def nested(file: h5py.File, depth: int = 40) -> None:
+    """Cells of two references each to one that is the same, one in the other: 2 to the ``depth`` values."""
+    inner = file.create_dataset("#refs#/z", data=np.zeros((1, 1)))
+    inner.attrs["MATLAB_class"] = np.bytes_("double")
+    for k in range(depth):
+        name = "Acceleration" if k == depth - 1 else f"#refs#/{k}"
+        outer = file.create_dataset(name, (2, 1), dtype=h5py.ref_dtype)
+        outer[0, 0] = outer[1, 0] = inner.ref
+        outer.attrs["MATLAB_class"] = np.bytes_("cell")
+        inner = outer
+
+
+def many(file: h5py.File) -> None:
+    """400 references to one set of 8 MB, which takes 8 kB."""
+    large = file.create_dataset("#refs#/a", data=np.zeros((1, 1_000_000)), compression="gzip")
+    large.attrs["MATLAB_class"] = np.bytes_("double")
+    cell = file.create_dataset("Acceleration", (400, 1), dtype=h5py.ref_dtype)
+    for i in range(400):
+        cell[i, 0] = large.ref
+    cell.attrs["MATLAB_class"] = np.bytes_("cell")
+
+
+def virtual(file: h5py.File) -> None:
+    layout = h5py.VirtualLayout((3, 4), "f8")
+    layout[:] = h5py.VirtualSource("another.mat", "Acceleration", (3, 4))
+    file.create_virtual_dataset("Acceleration", layout)
+
+
+def linked(link: object) -> Callable[[h5py.File], None]:
+    return lambda file: file.__setitem__("Acceleration", link)
+
+
+LINKS: dict[str, tuple[Callable[[h5py.File], None], str]] = {
+    "a link into another file": (
+        linked(h5py.ExternalLink("another.mat", "/a")),
+        "a link that leads elsewhere",
+    ),
+    "a link by name": (linked(h5py.SoftLink("/Acceleration")), "a link that leads elsewhere"),
+    "a part of another file": (virtual, "keeps its data in another file"),
+    "many references": (many, "is not a .mat file that"),
+    "nested references": (nested, r"is not a .mat file that can be read in \d s"),
+}
+
+
+def version_73(path: Path, fill: Callable[[h5py.File], None]) -> Path:
+    with h5py.File(path, "w", userblock_size=512) as file:
+        fill(file)
+    with path.open("rb+") as raw:
+        raw.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+    return path
+
+
+@pytest.mark.skipif(sys.version_info < (3, 11), reason="no mat-io for Python 3.10")
+@pytest.mark.parametrize(
+    "case", ["a cell", *list(LINKS)[:-1], pytest.param("nested references", marks=pytest.mark.long)]
+)
+def test_a_matlab_file_of_little_that_would_cost_much(case: str, tmp_path: Path) -> None:
+    """Read in a process that has so much memory and time, and no more; no other file is read."""
+    path, words = tmp_path / "log.mat", "is not a .mat file that fits into memory"
+    if case in LINKS:
+        fill, words = LINKS[case]
+        version_73(path, fill)
+    else:
+        path.write_bytes(declared(1, 300_000_000))
+    with little_memory(), pytest.raises(InputError, match=words):
+        import_drive([path])
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    assert children.ru_maxrss < 500 << 10  # KiB
+
+
+def test_grids_that_a_few_lines_ask_for(tmp_path: Path) -> None:
+    """Stamps and distances decide how many samples there are once they are even."""
+    profile, markers = tmp_path / "a.csv", tmp_path / "b.csv"
+    profile.write_text("0,0\n1e-7,0\n2e-7,0\n3e-7,0\n15,0\n")
+    rows = [f"{t},0,0" for t in (*range(30), 1e9)]
+    markers.write_text("\n".join(["t,A,B", *rows]))
+    for read in (lambda: read_profile(profile), lambda: read_markers(markers, 5.0)):
+        with little_memory(), pytest.raises(InputError, match=TOO_LARGE):
+            read()
 
 
 def test_a_line_without_end_is_no_table() -> None:

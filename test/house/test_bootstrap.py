@@ -8,6 +8,7 @@ import contextlib
 import fcntl
 import importlib.util
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -106,6 +107,43 @@ def test_extras_come_in_when_wanted_and_stay(
     (clone / "setup.py").write_text("# other requirements\n")
     bootstrap.set_up([])
     assert installer.took() == ["pip .[test]"]
+
+
+def test_locked_versions_are_installed_when_they_are_asked_for(
+    bootstrap: ModuleType, installer: Installer, clone: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    commands: list[list[str]] = []
+    monkeypatch.setattr(bootstrap, "run", lambda command: (commands.append(command), installer.run(command)))
+    (clone / "constraints.txt").write_text("numpy==2.0.0\n")
+    bootstrap.set_up([])
+    assert "--constraint" not in commands[-1]
+    bootstrap.set_up([], True)
+    assert commands[-1][commands[-1].index("--constraint") + 1] == str(clone / "constraints.txt")
+    count = len(commands)
+    bootstrap.set_up([], True)
+    assert len(commands) == count
+    (clone / "constraints.txt").write_text("numpy==2.0.1\n")
+    bootstrap.set_up([], True)
+    assert len(commands) == count + 1
+
+
+def test_versions_are_written_for_this_python_alone(bootstrap: ModuleType, clone: Path, capsys) -> None:
+    (clone / "constraints.txt").write_text(
+        f'numpy==1.0 ; python_version == "3.9"\nold==1.0 ; python_version == "{HERE}"\n'
+    )
+    bootstrap.PYTHON = sys.executable
+    assert bootstrap.lock() == 0
+    lines = (clone / "constraints.txt").read_text().splitlines()
+    assert 'numpy==1.0 ; python_version == "3.9"' in lines and not any("old==" in line for line in lines)
+    assert any(line.startswith("scipy==") and line.endswith(f'python_version == "{HERE}"') for line in lines)
+    assert not any("://" in line or "@" in line or "suspension" in line for line in lines)
+
+
+def test_the_versions_that_are_kept_name_no_address(repository: Path) -> None:
+    lines = (repository / "constraints.txt").read_text().splitlines()[1:]
+    assert len(lines) > 50
+    for line in lines:
+        assert re.fullmatch(r'[a-z0-9-]+==[\w.+!-]+ ; python_version == "3\.\d+"', line), line
 
 
 @pytest.mark.parametrize(
@@ -255,7 +293,7 @@ def test_termination_ends_the_step_too(clone: Path) -> None:
         "import os, sys, bootstrap\n"
         "os.makedirs(bootstrap.VENV)\n"
         "step = 'import time; print(1, flush=True); time.sleep(60)'\n"
-        "bootstrap.set_up = lambda extras: bootstrap.run([sys.executable, '-c', step])\n"
+        "bootstrap.set_up = lambda extras, locked: bootstrap.run([sys.executable, '-c', step])\n"
         "sys.exit(bootstrap.main(['demo']))\n"
     )
     start = time.monotonic()
@@ -429,7 +467,7 @@ def test_a_failed_step_is_one_line(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    def set_up(extras: list[str]) -> None:
+    def set_up(extras: list[str], locked: bool) -> None:
         os.makedirs(bootstrap.VENV)
         bootstrap.run([sys.executable, "-c", f"import sys; print('first'); print({text!r}); sys.exit(1)"])
 
@@ -478,7 +516,7 @@ def test_what_is_run_in_the_end(
     monkeypatch.chdir(tmp_path)
     wanted: list[list[str]] = []
     gone: list[Any] = []
-    monkeypatch.setattr(bootstrap, "set_up", wanted.append)
+    monkeypatch.setattr(bootstrap, "set_up", lambda extras, locked: wanted.append(extras))
     monkeypatch.setattr("os.execve", lambda path, line, env: gone.append((path, line, Path.cwd())))
     bootstrap.main(arguments)
     assert wanted == [extras]

@@ -3,8 +3,11 @@
 
 from __future__ import annotations
 
+import os
+import tempfile
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,6 +19,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 
 from suspension_twin.nodes.base import TwinNode
+from suspension_twin.nodes.parameters import FOLDERS
 from suspension_twin.nodes.topics import NS, Embedding
 
 #: ROS arguments of a context whose nodes skip no message that had to wait.
@@ -38,7 +42,10 @@ class Bench:
         return node
 
     def make(self, kind: Callable[..., TwinNode], *args: Any, namespace: str = "", **parameters: Any) -> Any:
-        """A node with these parameters (``__`` for a dot)."""
+        """A node with these parameters (``__`` for a dot), which serves files of this repository and of the tests."""
+        if FOLDERS in getattr(kind, "parameters", ()):
+            places = Path(__file__).parents[2], tempfile.gettempdir()
+            parameters = {"folders": os.pathsep.join(map(str, places)), **parameters}
         given = tuple(Parameter(k.replace("__", "."), value=v) for k, v in parameters.items())
         return self.add(kind(Embedding(self.context, namespace, given), *args))
 

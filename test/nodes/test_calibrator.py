@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from stand_ins import breaks, cannot, deaf, dies, five_generations, repeats_its_
 
 from suspension_twin.live.gap import calibration_gap
 from suspension_twin.nodes.calibrator import CalibratorNode
+from suspension_twin.nodes.jobs import calibration_job
 from suspension_twin.vehicle.twin import load_twin
 from suspension_twin_interfaces.action import Calibrate
 
@@ -82,8 +84,13 @@ def test_while_it_works_the_node_answers_refuses_a_second_goal_and_cancels_at_on
     generations = [f.generation for f in client.feedback if f.stage == "search"]
     assert generations == list(range(1, len(generations) + 1))
 
-    node.works["calibrate"] = five_generations  # the next goal is welcome
+    node.works["calibrate"] = (
+        five_generations  # the next goal is welcome, and what is no result of ours stays
+    )
     client.feedback.clear()
+    assert "is no result of a calibration: not overwritten" in client.result(client.send(goal))[1].message
+    assert Path(result.output).read_text() == "best so far"
+    Path(result.output).unlink()
     assert client.result(client.send(goal))[0] == GoalStatus.STATUS_SUCCEEDED
 
 
@@ -156,12 +163,12 @@ def test_a_worker_that_does_not_listen_is_ended(bench, goal):
         ({"twin": "/nowhere/twin.yaml"}, "/nowhere/twin.yaml"),
         ({"twin": ""}, "twin: is empty"),
         ({"bags": []}, "bags: is empty"),
-        ({"bags": ["/nowhere/bag"]}, "/nowhere/bag: no such recording"),
+        ({"bags": [f"{tempfile.gettempdir()}/nowhere/bag"]}, "/nowhere/bag: no such recording"),
         ({"preset": "best"}, "preset: best: one of fast, paper"),
         ({"output": "/nowhere/out.yaml"}, "/nowhere/out.yaml"),
-        ({"twin": "x" * 10_000}, "File name too long"),
+        ({"twin": "x" * 10_000 + ".yaml"}, "File name too long"),
         ({"bags": ["x" * 10_000]}, "File name too long"),
-        ({"output": "x/" * 10_000}, "File name too long"),
+        ({"output": "x/" * 10_000 + "a.yaml"}, "File name too long"),
     ],
 )
 def test_a_goal_that_cannot_be_is_answered_with_what_is_wrong(bench, goal, change, words):
@@ -172,6 +179,64 @@ def test_a_goal_that_cannot_be_is_answered_with_what_is_wrong(bench, goal, chang
     status, result = client.result(client.send(goal))
     assert status == GoalStatus.STATUS_ABORTED and not result.success
     assert words in result.message and "\n" not in result.message
+
+
+@pytest.mark.parametrize(
+    ("field", "name", "words"),
+    [
+        ("output", "../elsewhere/out.yaml", "lies in none of the folders that the parameter folders names"),
+        ("output", "link.yaml", "lies in none of the folders"),
+        ("output", ".bashrc", "must end in .yaml"),
+        ("output", "kept.yaml", "is no result of a calibration: not overwritten"),
+        ("bags", "../elsewhere", "lies in none of the folders"),
+        ("bags", "", "own_calibrated.yaml: lies in none of the folders"),
+        ("twin", "../elsewhere/secret.yaml", "lies in none of the folders"),
+        ("twin", "secret.txt", "must end in .yaml"),
+        ("twin", "broken.yaml", "broken.yaml: cannot be used (vehicle"),
+        (
+            "twin",
+            "secret.yaml",
+            "secret.yaml: cannot be used (vehicle, imu, its first level): the log of the node says why",
+        ),
+        (
+            "twin",
+            "unclosed.yaml",
+            "unclosed.yaml: cannot be used (not YAML, line 3): the log of the node says why",
+        ),
+    ],
+)
+def test_a_goal_reads_and_writes_in_the_folders_of_the_node_alone(bench, goal, tmp_path, field, name, words):
+    """And nothing of what stands in a file comes back to who asked."""
+    own, elsewhere = tmp_path / "own", tmp_path / "elsewhere"
+    for folder in (own, elsewhere):
+        folder.mkdir()
+        (folder / "secret.yaml").write_text("root:$6$hash:19000:0:99999:7:::\n")
+    (own / "link.yaml").symlink_to(elsewhere / "secret.yaml")
+    (own / "kept.yaml").write_text("mine")
+    (own / ".bashrc").write_text("mine")
+    (own / "secret.txt").write_text("root: 1\n")
+    (own / "broken.yaml").write_text("model: full_car\nvehicle: {hash: 5}\nimu: {position: [0, 0, 1]}\n")
+    (own / "unclosed.yaml").write_text("hash: 1\n[hash\n")
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    bags = [*map(Path, goal.bags), Path(goal.twin)]
+    allowed = [str(own), *(str(path.parent) for path in bags)]
+    bench.make(CalibratorNode, {"calibrate": five_generations}, folders=os.pathsep.join(allowed))
+    client = Client(bench, Calibrate, "calibrate")
+    goal.output = str(own / "new.yaml") if name else ""
+    path = str(own / name)
+    setattr(goal, field, [path] if field == "bags" else path)
+    status, result = client.result(client.send(goal))
+    assert status == GoalStatus.STATUS_ABORTED and words in result.message
+    assert "hash" not in result.message and "root" not in result.message.replace(str(tmp_path), "")
+    assert before == {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+
+
+def test_a_calibration_without_a_name_takes_one_that_is_free(tmp_path, goal, twin_path):
+    goal.output = ""
+    first = Path(calibration_job(goal, str(twin_path), 0).output)
+    first.write_text("mine")
+    assert Path(calibration_job(goal, str(twin_path), 0).output) == first.with_stem(first.stem + "_2")
+    first.unlink()
 
 
 def test_the_nodes_twin_and_a_place_beside_the_bag_are_the_defaults(bench, goal, twin_path, recorded):

@@ -12,6 +12,7 @@ import yaml
 from geometry_msgs.msg import AccelStamped, PoseStamped
 from nav_msgs.msg import Odometry
 from nodes_bench import put_stamp, stamp_of, worst
+from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Imu, JointState
 from std_srvs.srv import Trigger
@@ -281,6 +282,17 @@ def test_a_wrong_twin_is_refused_by_name_and_the_old_one_goes_on(bench, twin_pat
         assert (name or "empty") in response.message or "gone.crg" in response.message
     drive(node, 50)
     assert len(rows) == 50 and node.values["twin"] == str(twin_path)
+
+
+def test_a_file_out_of_the_folders_is_neither_loaded_nor_quoted(bench, twin_path, tmp_path):
+    bench.make(SuspensionModelNode, twin=str(twin_path), folders=str(twin_path.parent))
+    (tmp_path / "shadow.yaml").write_text("root:$6$hash:19000:0:99999:7:::\n")
+    save_twin(load_twin(twin_path), tmp_path / "twin.yaml")
+    for path in ("/etc/shadow", str(tmp_path / "shadow.yaml"), str(tmp_path / "twin.yaml")):
+        response = bench.call(LoadTwin, "/suspension_model/load_twin", LoadTwin.Request(path=path))
+        assert not response.success and "lies in none of the folders" in response.message
+    widen = SetParameters.Request(parameters=[Parameter("folders", value="/").to_parameter_msg()])
+    assert not bench.call(SetParameters, "/suspension_model/set_parameters", widen).results[0].successful
 
 
 def test_a_program_is_not_loaded_by_a_request(bench, twin_path, tmp_path):

@@ -47,7 +47,8 @@ def running(twin_path, recorded, tmp_path_factory) -> Iterator[tuple[str, Path, 
     assert process.stderr is not None
     try:
         for line in process.stderr:
-            if line.strip() == f"Watch on {url}":
+            if line.startswith(f"Watch on {url}?token="):
+                url = line.split()[-1]
                 break
         else:
             pytest.fail("the page was never announced")

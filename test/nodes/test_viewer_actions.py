@@ -46,7 +46,7 @@ def press(bench, viewer, name: str, value: float | None = None) -> tuple[str, bo
     answers: list[dict[str, Any]] = []
 
     async def ask() -> None:
-        async with ClientSession() as session, session.ws_connect(f"{viewer.server.url}ws") as socket:
+        async with ClientSession() as session, session.ws_connect(viewer.server.address("ws")) as socket:
             await socket.send_json({"do": name} if value is None else {"do": name, "value": value})
             while "said" not in (frame := await socket.receive_json(timeout=10.0)):
                 pass
@@ -88,7 +88,7 @@ def test_a_diagnosis_has_a_report_to_open(bench, viewer, tmp_path):
     assert press(bench, viewer, "diagnose") == ("Diagnosing bumpy", False)
     bench.until(lambda: not job(viewer)["running"], "the diagnosis", 90.0)
     assert job(viewer)["report"] and (tmp_path / "bumpy_diagnosis" / "twin.yaml").is_file()
-    with urllib.request.urlopen(f"{viewer.server.url}report") as answer:
+    with urllib.request.urlopen(viewer.server.address("report")) as answer:
         assert answer.read() == b"<p>friction</p>"
 
 

@@ -16,8 +16,9 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, suppre
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, NamedTuple
 
-from suspension_twin.addons.sources.common.connection import is_local, url_host
+from suspension_twin.addons.sources.common.connection import url_host
 from suspension_twin.addons.view.fleet import FleetServer, TwinRow
+from suspension_twin.addons.view.server import TOKEN_VARIABLE
 from suspension_twin.cli.run import Companion
 from suspension_twin.errors import InputError, WorkError
 
@@ -33,7 +34,7 @@ _PAGES, _OPENED = 4, 30.0
 
 
 class ListenAddress(NamedTuple):
-    """Where something listens; ``token`` is the end of the address for others than this machine."""
+    """Where something listens; ``token`` is the end of the address."""
 
     host: str
     port: int
@@ -53,7 +54,7 @@ def free_address(option: str, given: str) -> ListenAddress:
             port = taken.getsockname()[1]
     except OSError as error:
         raise InputError(option, f"cannot listen on {host}, port {port}: {error.strerror or error}") from None
-    return ListenAddress(host, port, "" if is_local(host) else secrets.token_urlsafe(9))
+    return ListenAddress(host, port, secrets.token_urlsafe(16))
 
 
 def foxglove_address(given: str) -> ListenAddress:
@@ -67,13 +68,18 @@ def foxglove_address(given: str) -> ListenAddress:
 def node_process(
     node: str, values: Mapping[str, object], namespace: str, arguments: Sequence[str]
 ) -> Iterator[None]:
-    """A node of the add-ons in a process of its own, with less priority than the others; it ends with this one."""
+    """A node of the add-ons in a process of its own, with less priority than the others; it ends with this one.
+
+    Its token goes by the environment: everybody on the machine sees the arguments of a process.
+    """
     values = {**values, "parent": os.getpid()}
+    environment = {**os.environ, TOKEN_VARIABLE: str(values.pop("token", ""))}
     given = [w for name, value in values.items() for w in ("-p", f"{name}:={json.dumps(value)}")]
     place = ["-r", f"__ns:=/{namespace.strip('/')}"] if namespace else []
     module = f"suspension_twin.addons.nodes.{node}"
     command = [sys.executable, "-m", module, *arguments, "--ros-args", *place, *given]
-    process = subprocess.Popen(["nice", "-n", "5", *command] if shutil.which("nice") else command)
+    command = ["nice", "-n", "5", *command] if shutil.which("nice") else command
+    process = subprocess.Popen(command, env=environment)
     try:
         yield
     finally:

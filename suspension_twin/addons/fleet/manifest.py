@@ -18,7 +18,7 @@ from urllib.parse import unquote, urlsplit
 
 from suspension_twin.addons.fleet.storage import is_url
 from suspension_twin.errors import InputError, nearest, shown
-from suspension_twin.files import read_bytes, read_yaml
+from suspension_twin.files import read_bytes, read_yaml, reader
 
 __all__ = ["Item", "read_manifest"]
 
@@ -67,6 +67,7 @@ class Item:
         return f"{self.vehicle} {self.date or Path(self.drives[0]).name}"
 
 
+@reader("a manifest")
 def read_manifest(path: str | Path) -> tuple[Item, ...]:
     """Read a manifest.
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 from suspension_twin.addons.fleet.changes import ChangePoint
 from suspension_twin.addons.fleet.work import Record
 from suspension_twin.errors import InputError
-from suspension_twin.files import check_writable, parse_yaml, replacing, together, write_text
+from suspension_twin.files import check_writable, parse_yaml, read_json, replacing, together, write_text
 from suspension_twin.vehicle.twin import RoadFile, parse_twin, save_twin
 
 if TYPE_CHECKING:
@@ -115,9 +115,9 @@ class Ledger:
     def load(self, key: str) -> Record | None:
         """The record of a task, or None: it has to be done."""
         try:
-            record = json.loads((self.place(key) / _RECORD).read_text(encoding="utf-8"))
+            record = read_json(self.place(key) / _RECORD)
             whole = record["key"] == key and record["status"] in ("done", "failed")
-        except (OSError, ValueError, LookupError, TypeError):
+        except (InputError, LookupError, TypeError):
             return None
         return record if whole else None
 

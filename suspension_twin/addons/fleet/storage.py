@@ -18,7 +18,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
 from suspension_twin.errors import InputError
-from suspension_twin.files import read_yaml
+from suspension_twin.files import open_file, read_yaml
 
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem  # type: ignore[import-untyped]
@@ -147,7 +147,7 @@ def identity(name: str) -> str:
         for file in [p for p in sorted(path.rglob("*")) if p.is_file()] if path.is_dir() else [path]:
             whole.update(f"{'' if file == path else file.relative_to(path).as_posix()}\0".encode())
             content = hashlib.sha256()
-            with file.open("rb") as opened:
+            with open_file(file) as opened:
                 while chunk := opened.read(_CHUNK):
                     content.update(chunk)
             whole.update(content.digest())

@@ -25,7 +25,7 @@ from suspension_twin.addons.fleet.manifest import Item
 from suspension_twin.addons.fleet.storage import identity, is_url, outline, staged, transient
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError, SuspensionTwinError
-from suspension_twin.files import Json, explained, together
+from suspension_twin.files import Json, explained, read_text, together
 from suspension_twin.pose.local_map import LocalMap
 from suspension_twin.road import load_road
 from suspension_twin.vehicle.twin import RoadFile, Twin, load_twin, save_twin
@@ -265,7 +265,7 @@ def moved_twin(twin: Twin, road: Path, path: Path) -> Path:
 
 
 def _files(folder: Path) -> dict[str, str]:
-    return {path.name: path.read_text(encoding="utf-8") for path in sorted(folder.iterdir())}
+    return {path.name: read_text(path) for path in sorted(folder.iterdir())}
 
 
 def _calibrated(task: Task, inputs: _Inputs) -> Record:
@@ -310,7 +310,7 @@ def _calibrated(task: Task, inputs: _Inputs) -> Record:
     return {
         **places,
         "message": result.message,
-        "files": {path.name: path.read_text(encoding="utf-8") for path in files},
+        "files": {path.name: read_text(path) for path in files},
         "warnings": list(result.warnings),
         "channel": result.drives[0].channel,
         **_numbers(**{name: float(np.sqrt(np.mean(np.square(values)))) for name, values in gaps.items()}),

@@ -12,6 +12,7 @@ import shutil
 import tempfile
 import threading
 import weakref
+import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -25,7 +26,9 @@ from numpy.typing import NDArray
 from suspension_twin.addons.fmu.twin import Fmu
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
-from suspension_twin.errors import InputError, WorkError, nearest, printable
+from suspension_twin.drive.unpack import Budget
+from suspension_twin.errors import InputError, SuspensionTwinError, WorkError, nearest, printable
+from suspension_twin.files import open_file
 from suspension_twin.models.connectors import INPUTS, OUTPUTS
 from suspension_twin.vehicle.corners import CORNERS
 
@@ -45,6 +48,8 @@ _NEEDED: Final = (
     *(f"{name}_{corner}" for name in ("deflection", "tyre_force") for corner in CORNERS),
 )
 _FATAL: Final = 4  # a status
+#: Bytes of a member of an archive that are unpacked at a time, and that a member takes on a disk at least.
+_PIECE, _MEMBER = 1 << 20, 1 << 12
 
 Ints = NDArray[np.int64]
 
@@ -228,6 +233,7 @@ def _opened(file: Path) -> _Archive:
     fmpy = _fmpy()
     try:
         status = file.stat()
+        open_file(file).close()
     except OSError:
         where = "it is looked for from the folder of the twin file, unless its path is absolute"
         raise InputError("twin", "fmu.file", f"there is no {file}: {where}") from None
@@ -238,9 +244,14 @@ def _opened(file: Path) -> _Archive:
 
 
 def _unpacked(fmpy: Any, file: Path) -> _Archive:
+    folder = Path(tempfile.mkdtemp(prefix="suspension_twin_fmu_"))
+    weakref.finalize(_archives_end, shutil.rmtree, folder, ignore_errors=True)
     try:
-        description = fmpy.read_model_description(str(file), validate=False)
-        platforms = fmpy.supported_platforms(str(file))
+        _extract(file, folder)
+        description = fmpy.read_model_description(str(folder), validate=False)
+        platforms = fmpy.supported_platforms(str(folder))
+    except SuspensionTwinError:
+        raise
     except Exception as error:  # whatever a parser of XML or ZIP raises
         raise InputError(file, f"is no FMU that can be read: {printable(str(error))}") from None
     version, interface = str(description.fmiVersion), description.coSimulation
@@ -253,12 +264,6 @@ def _unpacked(fmpy: Any, file: Path) -> _Archive:
             file,
             "takes steps of one length only, and the stamps of a drive are not even: export it otherwise",
         )
-    folder = Path(tempfile.mkdtemp(prefix="suspension_twin_fmu_"))
-    weakref.finalize(_archives_end, shutil.rmtree, folder, ignore_errors=True)
-    try:
-        fmpy.extract(str(file), str(folder))
-    except Exception as error:
-        raise InputError(file, f"cannot be unpacked: {printable(str(error))}") from None
     here = fmpy.platform_tuple if version.startswith("3.") else fmpy.platform
     library = f"{interface.modelIdentifier}{fmpy.sharedLibraryExtension}"
     places = [folder / "binaries" / name / library for name in (here, fmpy.platform_tuple)]
@@ -270,6 +275,24 @@ def _unpacked(fmpy: Any, file: Path) -> _Archive:
         compile_it = f": compile it with 'fmpy compile {file.name}'" if "c-code" in platforms else ""
         raise InputError(file, text + compile_it)
     return _Archive(file.name, description, folder, threading.RLock(), {})
+
+
+def _extract(file: Path, folder: Path) -> None:
+    """Unpack an archive within the budget of its size; no member leaves the folder."""
+    with open_file(file) as opened, zipfile.ZipFile(opened) as archive:
+        budget = Budget(file, file.stat().st_size)
+        for member in archive.infolist():
+            budget.take(_MEMBER)
+            target = folder / member.filename
+            if not target.resolve().is_relative_to(folder.resolve()):
+                raise InputError(file, printable(member.filename[:80]), "leads out of the archive")
+            if member.is_dir():
+                continue
+            target.parent.mkdir(parents=True, exist_ok=True)
+            with archive.open(member) as packed, target.open("wb") as there:
+                while piece := packed.read(_PIECE):
+                    budget.take(len(piece))
+                    there.write(piece)
 
 
 class _End:

@@ -42,7 +42,7 @@ from suspension_twin.files import check_writable
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.jobs import Job, Outcome, Worker
 from suspension_twin.nodes.messages import read_fix, read_odometry, read_velocity, yaw_of
-from suspension_twin.nodes.parameters import TWIN, Param, Values, twin_of
+from suspension_twin.nodes.parameters import FOLDERS, TWIN, Param, Values, twin_of
 from suspension_twin.nodes.topics import OK, WARN, Embedding
 from suspension_twin_interfaces.srv import LoadTwin
 
@@ -118,6 +118,7 @@ class RoadLearnerNode(TwinNode):
 
     parameters = (
         TWIN,
+        FOLDERS,
         Param("out", "", "OpenCRG file that the learnt road is written to, again after each pass.", read_only=True),
     )  # fmt: skip
 

@@ -20,7 +20,7 @@ from suspension_twin.drive.checks import nanoseconds
 from suspension_twin.drive.types import FixData, ImuData
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.messages import SENSORS
-from suspension_twin.nodes.parameters import TWIN, Param, twin_of
+from suspension_twin.nodes.parameters import FOLDERS, TWIN, Param, twin_of
 from suspension_twin.nodes.topics import ERROR, NS, OK, WARN, Embedding, Output
 
 __all__ = ["SourceNode"]
@@ -38,6 +38,7 @@ class SourceNode(TwinNode):
 
     parameters = (
         TWIN,
+        FOLDERS,
         Param(
             "sources",
             "",

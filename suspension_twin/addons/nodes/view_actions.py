@@ -20,13 +20,13 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 from sensor_msgs.msg import Imu, NavSatFix
 
-from suspension_twin.addons.nodes.view_recorder import ViewRecorder, unused
+from suspension_twin.addons.nodes.view_recorder import ViewRecorder
 from suspension_twin.addons.sources.common.first_drive import FirstDrive
 from suspension_twin.addons.view.live import LiveView
 from suspension_twin.calibration.output import details_path
 from suspension_twin.drive.types import Samples
 from suspension_twin.errors import InputError, SuspensionTwinError, WorkError
-from suspension_twin.files import Json
+from suspension_twin.files import Json, read_yaml, unused
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.messages import read_fix, read_imu, read_velocity
 from suspension_twin.nodes.topics import OK, SENSOR_QOS, WARN
@@ -318,12 +318,10 @@ class ViewGuide:
 
 def _gap_of(twin: Path) -> str:
     """The gap of the first drive before and after a calibration, from the file beside its result; empty without."""
-    import yaml
-
     try:
-        drive = yaml.safe_load(details_path(twin).read_text(encoding="utf-8"))["drives"][0]
+        drive = read_yaml(details_path(twin))["drives"][0]
         before, after = (float(drive[name]["rms"]) for name in ("gap_before", "gap_after"))
-    except (OSError, ValueError, KeyError, IndexError, TypeError, yaml.YAMLError):
+    except (InputError, ValueError, LookupError, TypeError):
         return ""
     return f"gap {before:.3f} m/s² before, {after:.3f} after; the twin is {twin}"
 

@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
-from itertools import chain, count
 from pathlib import Path
 
 import numpy as np
@@ -24,11 +23,12 @@ from std_msgs.msg import String
 from suspension_twin.addons.view.live import LiveView
 from suspension_twin.drive.write import BagWriter
 from suspension_twin.errors import InputError, WorkError
+from suspension_twin.files import unused
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.messages import SENSORS
 from suspension_twin.nodes.topics import NS, SENSOR_QOS, STREAM_QOS, WARN, type_name
 
-__all__ = ["SensorBag", "ViewRecorder", "unused"]
+__all__ = ["SensorBag", "ViewRecorder"]
 
 _EVENTS = "events"
 #: s between two times that a recording is written out.
@@ -179,9 +179,3 @@ class ViewRecorder:
         if self.bag is not None:
             on, seconds, path = True, round(self.bag.seconds, 1), str(self.bag.path)
         self._view.update("record", {"on": on, "seconds": seconds, "path": path})
-
-
-def unused(path: Path) -> Path:
-    """The path, or one with a number that nothing has yet."""
-    numbered = (path.with_name(f"{path.stem}_{number}{path.suffix}") for number in count(2))
-    return next(name for name in chain([path], numbered) if not name.exists())

@@ -29,12 +29,12 @@ from sensor_msgs.msg import JointState
 from suspension_twin.addons.nodes.view_actions import ViewGuide, ViewJob, ViewJobs, ViewPlayer
 from suspension_twin.addons.nodes.view_recorder import ViewRecorder
 from suspension_twin.addons.view.live import LiveView, NodeStatus, advice
-from suspension_twin.addons.view.server import Requests, Server
+from suspension_twin.addons.view.server import TOKEN_VARIABLE, Requests, Server
 from suspension_twin.errors import InputError, SuspensionTwinError
 from suspension_twin.inference.observation import road_of
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.messages import read_odometry
-from suspension_twin.nodes.parameters import TWIN, Param, Values, twin_of
+from suspension_twin.nodes.parameters import FOLDERS, TWIN, Param, Values, twin_of
 from suspension_twin.nodes.topics import NS, Embedding
 from suspension_twin.vehicle.twin import Twin
 from suspension_twin_interfaces.msg import Gap
@@ -57,17 +57,18 @@ class ViewerNode(TwinNode):
     events = True  # many topics, at many times the rate of a drive that is replayed quickly
     parameters = (
         TWIN,
+        FOLDERS,
         Param(
             "host",
             "127.0.0.1",
-            "Address to listen on; others than this machine get in only with a token.",
+            "Address to listen on.",
             read_only=True,
         ),
         Param("port", 8080, "Port to listen on; 0: any free one.", 0, 65535, read_only=True),
         Param(
             "token",
             "",
-            "What the address must end in (?token=...) to get in; empty: nothing.",
+            "What the address must end in (?token=...) to get in; empty: a new one for each start, which is printed.",
             read_only=True,
         ),
         Param("folder", ".", "Folder for recordings, calibrated twins and diagnoses.", read_only=True),
@@ -93,7 +94,7 @@ class ViewerNode(TwinNode):
             self._requests.ask,
             host=self.values["host"],
             port=self.values["port"],
-            token=self.values["token"],
+            token=self.values["token"] or os.environ.get(TOKEN_VARIABLE, ""),
         )
         self._load()
         self.recorder = ViewRecorder(self, self.view)

@@ -49,6 +49,9 @@ class SensorLogger(PlainSource):
         await self.server.start()
         self.code = self.server.url()
         self.notes = [f"Sensor Logger: push to {self.code}"]
+        if self.server.open:
+            reached = f"Listens on {self.server.host}, which others reach: who has the address with its token can send"
+            self.notes.insert(0, reached)
 
     def _page(self) -> str:
         """The page for the phone's browser: the address to copy, and the steps of the set-up."""

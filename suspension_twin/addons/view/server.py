@@ -2,8 +2,9 @@
 """The server of the page: static files, tiles of the road, and one WebSocket for each viewer.
 
 A frame is made and encoded once, however many look on. A viewer that is too slow loses frames and gets everything
-anew. Only this machine gets in unless a token is set; then every request carries it, in the address or in the cookie
-that the first one leaves. A page of another origin gets no WebSocket, so that no website can press a button here.
+anew. Every request carries a token, in the address or in the cookie that the first one leaves, on this machine too:
+others who work on it do not get in, nor does a website whose name was made to lead here. A page of another origin gets
+no WebSocket, so that no website can press a button here.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ import asyncio
 import contextlib
 import hmac
 import json
+import re
+import secrets
 import socket
 import threading
 from collections.abc import Awaitable, Callable, Coroutine
@@ -20,17 +23,17 @@ from concurrent.futures import TimeoutError as NoAnswer
 from pathlib import Path
 from queue import SimpleQueue
 from typing import TypeVar
-from urllib.parse import urlsplit
 
 import numpy as np
 from aiohttp import WSMsgType, web
 
 from suspension_twin.addons.sources.common.connection import is_local, url_host
+from suspension_twin.addons.sources.common.server import Listener
 from suspension_twin.addons.view.live import LiveView
 from suspension_twin.errors import InputError, SuspensionTwinError, WorkError
 from suspension_twin.road.road import Road
 
-__all__ = ["ACTIONS", "NODES", "SIDE", "Requests", "Server", "Site", "tile"]
+__all__ = ["ACTIONS", "NODES", "SIDE", "TOKEN_VARIABLE", "Requests", "Server", "Site", "tile"]
 
 _T = TypeVar("_T")
 
@@ -51,17 +54,24 @@ ACTIONS = {
 }
 #: Frames a second, frames that may wait for a slow viewer, bytes of a request, viewers at a time.
 _RATE, _WAITING, _LARGEST, _VIEWERS = 30.0, 60, 1024, 32
+_CONNECTIONS = 6 * _VIEWERS  # as many a browser opens to one host
 #: s that an answer to a button may take.
 _PATIENCE = 6.0
 _BEAT = 1.0  # s after which an empty frame says that the program is still there (tolerance, by hand)
 _HERE = Path(__file__).parent
 _FILES = frozenset({"app.js", "charts.js", "fleet.js", "scene.js", "style.css"})
 _COOKIE = "suspension_twin"
+#: The environment variable by which a process hands the token of a page to that of its node.
+TOKEN_VARIABLE = "SUSPENSION_TWIN_VIEW_TOKEN"
 #: A tile is a square of this side in m with this many heights along each edge, both ends included.
 SIDE, NODES = 4.0, 41
 #: Tiles are numbered up to this far from the datum in m.
 _FARTHEST = 1e6
 _POLICY = "default-src 'self'; connect-src 'self' ws: wss:; img-src 'self' data:; frame-ancestors 'none'"
+#: A report holds its styles and pictures and no script; names of files and vehicles stand in it.
+_REPORT_POLICY = (
+    "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'"
+)
 
 
 def tile(road: Road | None, column: int, row: int) -> bytes:
@@ -81,7 +91,7 @@ def tile(road: Road | None, column: int, row: int) -> bytes:
 
 
 class Site:
-    """Serves a page from a thread of its own, to this machine or to who has the token.
+    """Serves a page from a thread of its own to who has the token: a new one where none is given.
 
     Raises InputError where it cannot listen on ``host`` and ``port``.
     """
@@ -89,9 +99,7 @@ class Site:
     page = "index.html"
 
     def __init__(self, *, host: str = "127.0.0.1", port: int = 8080, token: str = "") -> None:
-        if not (is_local(host) or token):
-            raise InputError("token", f"is needed on {host}, which others can reach")
-        self.host, self.token = host, token
+        self.host, self.token = host, token or secrets.token_urlsafe(16)
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, name="view", daemon=True)
         self._thread.start()
@@ -105,8 +113,17 @@ class Site:
     @property
     def url(self) -> str:
         """The address to open."""
+        return self.address()
+
+    def address(self, path: str = "") -> str:
+        """The address of a part of the page."""
         host = socket.gethostname() if self.host in ("0.0.0.0", "::") else self.host
-        return f"http://{url_host(host)}:{self.port}/" + (f"?token={self.token}" if self.token else "")
+        return f"http://{url_host(host)}:{self.port}/{path}?token={self.token}"
+
+    @property
+    def _cookie(self) -> str:
+        """Cookies are of a host, whatever the port: each page of it has one of its own."""
+        return f"{_COOKIE}_{self.port}"
 
     def close(self) -> None:
         """Stop serving."""
@@ -126,33 +143,31 @@ class Site:
         app.router.add_get("/", self._index)
         app.router.add_get("/static/{name}", self._file)
         self._add_routes(app)
-        self._runner = web.AppRunner(app, access_log=None)
-        await self._runner.setup()
-        await web.TCPSite(self._runner, self.host, port).start()
-        return int(self._runner.addresses[0][1])
+        self._listener = Listener(app, _CONNECTIONS, max_line_size=4096, max_field_size=4096)
+        return await self._listener.start(self.host, port)
 
     def _add_routes(self, app: web.Application) -> None:
         """Add routes beside the page and its files."""
 
     async def _stop(self) -> None:
-        await self._runner.cleanup()
+        await self._listener.stop()
 
     @web.middleware
     async def _guard(
         self, request: web.Request, handler: Callable[[web.Request], Awaitable[web.StreamResponse]]
     ) -> web.StreamResponse:
-        given = request.query.get("token", "") or request.cookies.get(_COOKIE, "")
-        if self.token:
-            if not hmac.compare_digest(given.encode(), self.token.encode()):
-                raise web.HTTPForbidden(text="The address is not complete: it ends in ?token=...\n")
-        elif not is_local(urlsplit(f"//{request.host}").hostname or ""):
+        given = request.query.get("token", "") or request.cookies.get(self._cookie, "")
+        if not hmac.compare_digest(given.encode("utf-8", "replace"), self.token.encode()):
+            raise web.HTTPForbidden(text="The address is not complete: it ends in ?token=...\n")
+        if is_local(self.host) and not is_local(_name_of(request.host)):
             # a name of somebody else's that leads here: a website rebound to this machine
             raise web.HTTPForbidden(text="Open the address that the terminal shows.\n")
+        self._listener.welcome(request)
         response = await handler(request)
         if not response.prepared:
             response.headers["X-Content-Type-Options"] = "nosniff"
-            if self.token and request.path == "/":
-                response.set_cookie(_COOKIE, self.token, httponly=True, samesite="Strict")
+            if request.path == "/":
+                response.set_cookie(self._cookie, self.token, httponly=True, samesite="Strict")
         return response
 
     async def _index(self, _request: web.Request) -> web.StreamResponse:
@@ -235,7 +250,8 @@ class Server(Site):
         page = None if self.report is None else self.report / "report.html"
         if page is None or not page.is_file():
             raise web.HTTPNotFound(text="There is no diagnosis yet.\n")
-        return web.FileResponse(page, headers={"Cache-Control": "no-store"})
+        headers = {"Content-Security-Policy": _REPORT_POLICY, "Cache-Control": "no-store"}
+        return web.FileResponse(page, headers=headers)
 
     async def _socket(self, request: web.Request) -> web.StreamResponse:
         check_origin(request)
@@ -269,10 +285,16 @@ class Server(Site):
             queue.put_nowait(encoded({"said": str(error), "wrong": True}))
 
 
+def _name_of(host: str) -> str:
+    """Name or number of a host in a header, without its port; empty where it is none."""
+    found = re.fullmatch(r"(\[[^\[\]]*\]|[^\[\]:]*)(:\d*)?", host)
+    return found[1].strip("[]").lower() if found else ""
+
+
 def check_origin(request: web.Request) -> None:
     """Refuse what the page of another website asks for."""
     origin = request.headers.get("Origin")
-    if origin is not None and urlsplit(origin).netloc != request.host:
+    if origin is not None and origin.partition("://")[2] != request.host:
         raise web.HTTPForbidden(text="Another page's request is refused.\n")
 
 

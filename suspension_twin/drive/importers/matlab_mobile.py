@@ -17,6 +17,7 @@ import struct
 import tempfile
 import warnings
 import zlib
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +28,9 @@ from suspension_twin.drive.clocks import text_to_posix
 from suspension_twin.drive.foreign_files import RecordedFiles, read_table
 from suspension_twin.drive.streams import Series, Streams
 from suspension_twin.drive.types import FixData
-from suspension_twin.drive.unpack import Budget
-from suspension_twin.errors import InputError
-from suspension_twin.files import reading
+from suspension_twin.drive.unpack import Budget, within_limits
+from suspension_twin.errors import InputError, printable
+from suspension_twin.files import read_bytes
 
 __all__ = ["TITLE", "read", "recognises"]
 
@@ -48,6 +49,7 @@ _POSITION = ("latitude", "longitude", "altitude", "speed", "course", "hacc")
 _V73 = b"MATLAB 7.3"
 _COMPRESSED = 15
 _PIECE = 1 << 20
+_LARGEST = 2 << 30  # bytes of a file
 
 Columns = dict[str, object]
 
@@ -109,22 +111,29 @@ def _logs_of_csv(source: RecordedFiles, streams: Streams) -> dict[str, Columns]:
 
 
 def _logs_of_mat(data: bytes, label: str) -> dict[str, Columns]:
-    try:
-        import matio  # brings pandas, half a second that no other format needs
-    except ModuleNotFoundError:
-        raise InputError(label, "a .mat file can be read with Python 3.11 and later alone") from None
-
+    if find_spec("matio") is None:
+        raise InputError(label, "a .mat file can be read with Python 3.11 and later alone")
     budget = Budget(label, len(data))
-    with tempfile.NamedTemporaryFile(suffix=".mat") as file, warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of variables that it cannot read, which are not the logs
+    with tempfile.NamedTemporaryFile(suffix=".mat") as file:
         file.write(data)
         file.flush()
-        with reading(label, "a .mat file"):
-            if data.startswith(_V73):
-                _check_hdf5(file.name, budget)
-            else:
-                _check_compressed(data, budget)
-            variables: dict[str, Any] = matio.load_from_mat(file.name)
+        return within_limits(
+            _logs_of_variables, file.name, budget, budget=budget, kind="a .mat file", module="matio"
+        )
+
+
+def _logs_of_variables(path: str, budget: Budget) -> dict[str, Columns]:
+    """The logs in a file, read by mat-io, which checks no size that the file declares."""
+    import matio
+
+    label, data = str(budget.source), read_bytes(path, _LARGEST)
+    if data.startswith(_V73):
+        _check_hdf5(path, budget)
+    else:
+        _check_compressed(data, budget)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of variables that it cannot read, which are not the logs
+        variables: dict[str, Any] = matio.load_from_mat(path)
     named = {name.lower(): value for name, value in variables.items() if not name.startswith("__")}
     for value in list(named.values()):  # readMobileSensorData gives one struct of all logs
         fields = _fields(value)
@@ -160,16 +169,25 @@ def _check_compressed(data: bytes, budget: Budget) -> None:
 
 
 def _check_hdf5(path: str, budget: Budget) -> None:
-    """Count the bytes that a file of version 7.3 declares: a dataset may declare anything and store nothing."""
+    """Count the bytes that a file of version 7.3 declares: a dataset may declare anything and store nothing.
+
+    Links that lead elsewhere by a name, within the file or out of it, and data in other files are refused: no program
+    of MathWorks writes them.
+    """
     import h5py  # comes with mat-io
+
+    def elsewhere(name: str, link: object) -> str | None:
+        return None if isinstance(link, h5py.HardLink) else name
 
     def count(name: str, item: object) -> None:
         if isinstance(item, h5py.Dataset):
-            if item.external:
+            if item.external or item.is_virtual:
                 raise InputError(budget.source, "keeps its data in another file")
             budget.take(math.prod(item.shape or ()) * item.dtype.itemsize)
 
     with h5py.File(path) as file:
+        if name := file.visititems_links(elsewhere):
+            raise InputError(budget.source, printable(name[:80]), "is a link that leads elsewhere")
         file.visititems(count)
 
 

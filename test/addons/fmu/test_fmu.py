@@ -17,6 +17,8 @@ from other_car import STIFFNESS, fmu_section, linear_car, other_car, vehicle_of
 from scipy.signal import lsim
 
 from suspension_twin.addons.export.registry import ExportSettings, export_twin
+from suspension_twin.addons.fmu.slave import connected
+from suspension_twin.addons.fmu.twin import Fmu
 from suspension_twin.addons.plan.plan import plan
 from suspension_twin.addons.roads.drives.drives import road_from_drives
 from suspension_twin.calibration.request import CalibrationRequest
@@ -358,3 +360,18 @@ def test_who_sends_a_goal_does_not_choose_a_program(other: Twin, repository: Pat
     with pytest.raises(InputError, match="fmu runs a program: name it when the node is started"):
         jobs.calibration_job(goal, str(repository / "bags" / "bump_15kmh" / "twin.yaml"), 1)
     assert jobs.calibration_job(goal, goal.twin, 1).request.twin == goal.twin
+
+
+def test_an_fmu_that_unpacks_to_a_thousand_times_its_size(tmp_path: Path) -> None:
+    """Refused while it unpacks; so is a member that leads out of the archive."""
+    for name, content, words in (
+        ("resources/zeros", bytes(200 << 20), "unpacks to more than 64 MiB"),
+        ("../outside", b"x", "leads out of the archive"),
+        ("modelDescription.xml", b"<" + bytes(100 << 20), "unpacks to more than 64 MiB"),
+    ):
+        path = tmp_path / "bomb.fmu"
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.writestr(name, content)
+        with pytest.raises(InputError, match=words):
+            connected(Fmu(file=path))
+        assert not (tmp_path / "outside").exists()

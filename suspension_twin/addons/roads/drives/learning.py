@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from suspension_twin.addons.roads.drives.drives import DrivenPart, road_from_drives, write_estimate
 from suspension_twin.addons.roads.drives.estimate import RoadEstimateSettings
 from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, Samples, VelocityData
-from suspension_twin.files import Json, replacing, together
+from suspension_twin.files import Json, open_file, parse_json, reader, replacing, together
 from suspension_twin.vehicle.twin import Datum, RoadFile, load_twin, save_twin
 
 __all__ = ["Laps", "Lesson", "Span", "learn_road", "read_lesson", "twin_path", "write_lesson"]
@@ -156,11 +156,16 @@ def write_lesson(lesson: Lesson, path: Path) -> None:
         np.savez(temporary, lesson=np.array(json.dumps(text)), **arrays)  # type: ignore[arg-type]
 
 
+@reader("a lesson")
 def read_lesson(path: Path) -> Lesson:
     """Read a lesson that :func:`write_lesson` wrote."""
-    with np.load(path, allow_pickle=False) as file:
+    return _lesson(path)
+
+
+def _lesson(path: Path) -> Lesson:
+    with open_file(path) as opened, np.load(opened, allow_pickle=False) as file:
         arrays = dict(file)
-    text = json.loads(str(arrays["lesson"]))
+    text = parse_json(str(arrays["lesson"]), path)
     drives = []
     for k, (name, warnings) in enumerate(text["drives"]):
         parts: Json = {}

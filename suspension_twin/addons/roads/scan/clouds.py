@@ -22,7 +22,7 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.unpack import Budget
 from suspension_twin.errors import InputError, shown
-from suspension_twin.files import reading
+from suspension_twin.files import open_file, open_text, reading
 from suspension_twin.pose.local_map import LocalMap
 from suspension_twin.road.profile import UNITS
 from suspension_twin.vehicle.twin import Datum
@@ -91,7 +91,7 @@ def open_cloud(path: Path) -> Cloud:
     ...     next(open_cloud(Path(folder) / "a.xyz").pieces()).shape
     (2, 3)
     """
-    with reading(path, "a point cloud"), path.open("rb") as file:
+    with reading(path, "a point cloud"), open_file(path) as file:
         head = file.read(4)
     if not head:
         raise InputError(path, "is empty")
@@ -122,7 +122,7 @@ def _check_header(path: Path) -> None:
     Places of the numbers: ASPRS LAS 1.4 R15, table 3. Compressed points may unpack to as much as any file may.
     """
     size = path.stat().st_size
-    with path.open("rb") as file:
+    with open_file(path) as file:
         head = file.read(375)
     if len(head) < 227:
         raise InputError(path, "is cut off in its header")
@@ -143,7 +143,7 @@ def _check_header(path: Path) -> None:
         return
     Budget(path, size).take(count * length)
     # LAZ: at the start of its points the place of the table of chunks, or -1 and the place at the end of the file.
-    with path.open("rb") as file:
+    with open_file(path) as file:
         place = begin
         for _ in range(2):
             file.seek(place)
@@ -162,7 +162,7 @@ def _check_header(path: Path) -> None:
 def _las(path: Path) -> Cloud:
     laspy = _optional(path, "laspy", "laspy and lazrs")
     _check_header(path)
-    with laspy.open(path) as reader:
+    with laspy.open(open_file(path)) as reader:
         header = reader.header
         if header.are_points_compressed and not laspy.LazBackend.detect_available():
             _optional(path, "lazrs", "lazrs")
@@ -176,7 +176,7 @@ def _las(path: Path) -> Cloud:
         count = int(header.point_count)
 
     def pieces() -> Iterator[Floats]:
-        with laspy.open(path) as reader:
+        with laspy.open(open_file(path)) as reader:
             for chunk in reader.chunk_iterator(_PIECE):
                 points = np.column_stack([np.asarray(chunk[axis]) for axis in ("x", "y", "z")])
                 yield points[~np.isin(np.asarray(chunk.classification), _NOISE)]
@@ -185,7 +185,8 @@ def _las(path: Path) -> Cloud:
 
 
 def _ply(path: Path) -> Cloud:
-    data = _optional(path, "plyfile", "plyfile").PlyData.read(str(path), mmap="c")
+    with open_file(path) as file:
+        data = _optional(path, "plyfile", "plyfile").PlyData.read(file, mmap="c")
     if "vertex" not in data:
         raise InputError(path, "has no element 'vertex'")
     vertex = data["vertex"]
@@ -205,7 +206,7 @@ def _ply(path: Path) -> Cloud:
 def _text(path: Path) -> Cloud:
     """Columns x, y, z first, or as a heading names them; a line with the number of points alone is skipped."""
     columns = 0, 1, 2
-    with path.open(encoding="utf-8-sig") as file:
+    with open_text(path) as file:
         for skip, line in enumerate(file):
             text = line.strip()
             comment = not text or text.startswith(("#", "//"))
@@ -228,7 +229,7 @@ def _text(path: Path) -> Cloud:
             raise InputError(path, "holds no points")
 
     def pieces() -> Iterator[Floats]:
-        with path.open(encoding="utf-8-sig") as file:
+        with open_text(path) as file:
             lines, row = islice(file, skip, None), skip
             while True:
                 try:

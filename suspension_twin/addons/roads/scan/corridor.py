@@ -29,7 +29,7 @@ from suspension_twin.arrays import Floats, runs
 from suspension_twin.drive.foreign_files import read_table
 from suspension_twin.drive.read import read_drive
 from suspension_twin.errors import InputError
-from suspension_twin.files import read_bytes
+from suspension_twin.files import read_bytes, reader
 from suspension_twin.pose.local_map import LocalMap
 from suspension_twin.road.build import Centreline, road_over
 from suspension_twin.road.crg import load_road
@@ -71,6 +71,7 @@ class ScanPath:
     drive: Observation | None = None
 
 
+@reader("a path")
 def read_path(path: Path, twin: Twin, step: float) -> ScanPath:
     """Read the line of a scan.
 

@@ -18,15 +18,16 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from aiohttp import WSMsgType, web
 
 from suspension_twin.addons.sources.common.clock import host_time
 from suspension_twin.addons.sources.common.connection import Address, is_local, url_host
 from suspension_twin.errors import InputError
+from suspension_twin.files import read_text
 
-__all__ = ["Limits", "PushServer", "kept_token", "network_address"]
+__all__ = ["Limits", "Listener", "PushServer", "kept_token", "network_address"]
 
 _TOKEN_LENGTH: Final = 8  # the shortest that is taken
 _PEERS: Final = 256
@@ -61,8 +62,8 @@ def kept_token() -> str:
     first and kept readable for the user alone."""
     base = os.environ.get("XDG_STATE_HOME") or os.path.expanduser("~/.local/state")
     path = Path(base) / "suspension_twin" / "token"
-    with contextlib.suppress(OSError, UnicodeDecodeError):
-        token = path.read_text(encoding="ascii").strip()
+    with contextlib.suppress(InputError):
+        token = read_text(path).strip()
         if (
             len(token) >= _TOKEN_LENGTH
             and token.isascii()
@@ -109,11 +110,84 @@ class _Peer:
         self.wrong = _Bucket(limits.attempts / 60.0, limits.attempts)
 
 
-class _Refused(asyncio.Protocol):
-    """A connection too many."""
+class Listener:
+    """Accepts connections for an aiohttp application: so many at a time, and none for long that shows no token.
 
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        transport.close()
+    While all places are taken nothing is accepted: what waits then does so in the kernel. A place is taken back from
+    who has shown no token for ``deadline`` s, or for ``soon`` s where somebody waits for it.
+    """
+
+    deadline, soon = 10.0, 1.0  # s (tolerances, by hand: a phone in a poor network sends its headers within)
+
+    def __init__(self, app: web.Application, connections: int, **options: Any) -> None:
+        self._runner = web.AppRunner(app, logger=_silent(), access_log=None, **options)
+        self._most = connections
+        self._since: dict[asyncio.BaseProtocol, float] = {}
+        self._known: set[asyncio.BaseProtocol] = set()
+        self._tasks: list[asyncio.Task[None]] = []
+        self._socket: socket.socket | None = None
+        #: Connections that were closed to make place, or for want of a token.
+        self.dropped = 0
+
+    async def start(self, host: str, port: int) -> int:
+        """Listen; the port. Raises OSError where the address cannot be had."""
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        self._socket = socket.create_server((host, port), family=family, backlog=128)
+        self._socket.setblocking(False)
+        await self._runner.setup()
+        self._tasks = [asyncio.ensure_future(work) for work in (self._accept(self._socket), self._watch())]
+        return int(self._socket.getsockname()[1])
+
+    def welcome(self, request: web.Request) -> None:
+        """Somebody has shown the token: the connection stays."""
+        if request.protocol is not None:
+            self._known.add(request.protocol)
+
+    @property
+    def present(self) -> set[asyncio.BaseProtocol]:
+        """The connections that are open."""
+        return set() if self._runner.server is None else set(self._runner.server.connections)
+
+    async def stop(self) -> None:
+        """Close everything."""
+        for task in self._tasks:
+            task.cancel()
+        if self._socket is not None:
+            self._socket.close()
+        await self._runner.cleanup()
+
+    async def _accept(self, listening: socket.socket) -> None:
+        loop, server = asyncio.get_running_loop(), self._runner.server
+        assert server is not None
+        while True:
+            while len(self.present) >= self._most:
+                await asyncio.sleep(0.0 if self._drop(self.soon, 1) else 0.05)
+            try:
+                accepted, _ = await loop.sock_accept(listening)
+                _, protocol = await loop.connect_accepted_socket(server, accepted)
+                self._since[protocol] = host_time()
+            except OSError:  # it has gone, or there are no more descriptors
+                await asyncio.sleep(0.05)
+
+    async def _watch(self) -> None:
+        while True:
+            await asyncio.sleep(self.soon)
+            self._drop(self.deadline)
+
+    def _drop(self, age: float, most: int | None = None) -> bool:
+        """Close connections of that ``age`` in s that have shown no token, the oldest first; whether there were any."""
+        present, now = self.present, host_time()
+        self._since = {c: at for c, at in self._since.items() if c in present}
+        self._known &= present
+        idle = [c for c, at in self._since.items() if c not in self._known and now - at >= age][:most]
+        for connection in idle:
+            self._since.pop(connection)
+            assert isinstance(connection, web.RequestHandler)
+            connection.force_close()
+            if connection.transport is not None:
+                connection.transport.abort()
+        self.dropped += len(idle)
+        return bool(idle)
 
 
 class PushServer:
@@ -148,10 +222,9 @@ class PushServer:
         self._address = address
         self._on_message = on_message
         self._peers: OrderedDict[str, _Peer] = OrderedDict()
-        self._known: set[asyncio.BaseProtocol] = set()
-        self._spare: set[asyncio.BaseProtocol | None] = set()
+        self._spare: set[asyncio.BaseProtocol] = set()
         self._turn = asyncio.Lock()
-        self._server: asyncio.Server | None = None
+        self._listener: Listener | None = None
 
     def url(self, path: str = "/") -> str:
         """The address that a phone sends to."""
@@ -163,49 +236,28 @@ class PushServer:
         """Listen; InputError where the address cannot be had."""
         app = web.Application(client_max_size=self.limits.body)
         app.router.add_route("*", "/{path:.*}", self._handle)
-        self._runner = web.AppRunner(
+        listener = Listener(
             app,
-            logger=_silent(),
-            access_log=None,
+            self.limits.connections,
             auto_decompress=False,
             max_line_size=4096,
             max_field_size=4096,
             keepalive_timeout=75,
         )
-        await self._runner.setup()
-        loop = asyncio.get_running_loop()
         try:
-            self._server = await loop.create_server(self._accept, self.host, self.port, reuse_address=True)
+            self.port = await listener.start(self.host, self.port)
         except OSError as error:
-            await self._runner.cleanup()
             taken = error.errno == errno.EADDRINUSE
             reason = "the port is in use by another program" if taken else os.strerror(error.errno or 0)
             raise InputError(str(self._address), f"cannot listen: {reason}") from None
-        self.port = int(self._server.sockets[0].getsockname()[1])
+        self._listener = listener
 
     async def stop(self) -> None:
         """Close everything."""
-        if self._server is not None:
-            self._server.close()
-            await self._runner.cleanup()
+        if self._listener is not None:
+            await self._listener.stop()
 
     # Connections
-
-    def _accept(self) -> asyncio.BaseProtocol:
-        server = self._runner.server
-        assert server is not None
-        connections = list(server.connections)
-        if len(connections) >= self.limits.connections:
-            idle = next((c for c in connections if c not in self._known), None)
-            self.refused += 1
-            if idle is None:
-                return _Refused()
-            idle.force_close()  # it has never shown the token
-            if idle.transport is not None:
-                idle.transport.abort()
-        self._known &= set(connections)
-        self._spare &= set(connections)
-        return server()
 
     def _peer(self, request: web.Request) -> _Peer:
         name = request.remote or ""
@@ -236,8 +288,8 @@ class PushServer:
             # A page that the user has open in a browser reaches loopback, too; phones and programs have no origin.
             self.refused += 1
             return self._answer(403, "pages of other sites may not send", close=True)
-        if request.protocol is not None:
-            self._known.add(request.protocol)
+        if self._listener is not None:
+            self._listener.welcome(request)
         if request.method == "POST":
             return await self._post(request, peer, arrival)
         if request.method == "GET":
@@ -299,8 +351,9 @@ class PushServer:
                 for _ in range(2):  # to read it, and to handle it
                     await asyncio.sleep(0)
         spare = self.is_spare(self._on_message(body, arrival))
-        if spare != (sender in self._spare):
+        if sender is not None and self._listener is not None and spare != (sender in self._spare):
             (self._spare.add if spare else self._spare.discard)(sender)
+            self._spare &= self._listener.present
 
     def _answer(self, status: int, text: str, *, close: bool) -> web.Response:
         response = web.Response(status=status, text=text)
