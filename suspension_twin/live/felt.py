@@ -166,7 +166,9 @@ class _Lanes:
         road, where a receiver says beside it."""
         x, y, yaw = poses[:, :3].T
         if self._delay:
-            x, y, yaw, *_ = np.array([earlier_pose(PoseSample(*row), self._delay) for row in poses.tolist()]).T
+            x, y, yaw, *_ = np.array(
+                [earlier_pose(PoseSample(*row), self._delay) for row in poses.tolist()]
+            ).T
         u, v = self._road.xy_to_uv(x, y)
         v = np.clip(v, *self._sides)
         x1, y1 = self._road.uv_to_xy(u + 0.5, v)
@@ -208,9 +210,21 @@ class _Matching:
         self._highest = min(spec.cutoff, _HIGHEST)
         # four places to the shortest wave
         self._parts = math.ceil(apart / (_SLOWEST / (4.0 * self._highest)))
-        places = low + apart / self._parts * np.arange((_LANES - 1) * self._parts + 1)
+        places = low + apart / self._parts * np.arange((_LANES - 1) * self._parts + 1, dtype=np.float64)
         self._behind = apart / self._parts * np.arange(self._parts)
         self.bank = PlaceBank(places)
+        self.restart()
+        self._compile(road)
+
+    def _compile(self, road: Road) -> None:
+        """Stand at the begin of the road for a moment: compiled now, not at the first samples."""
+        (x,), (y,) = road.uv_to_xy([road.u_first], [0.5 * float(road.v[0] + road.v[-1])])
+        poses = np.array([[x, y, road.headings[0], 0.0, 0.0, 0.0, 0.0, 0.0]] * 3)
+        felt = np.zeros((3, len(_CHANNELS)))
+        self.take(np.array([0.0, 0.01, 0.02]), poses, felt, self.sigma, LATE)
+        self._behind, behind = np.zeros(self._parts), self._behind
+        self._weigh(0.03, felt)
+        self._behind = behind
         self.restart()
 
     def restart(self) -> None:
@@ -243,7 +257,9 @@ class _Matching:
         both = np.concatenate([felt, low], axis=1)
         both -= self._slow.process(both)
         kept = int(_KEPT * self._rate)
-        self._history = np.concatenate([self._history, both[:, channels:].reshape(n, channels, count)])[-kept:]
+        self._history = np.concatenate([self._history, both[:, channels:].reshape(n, channels, count)])[
+            -kept:
+        ]
         start = self._way[-1] if self._way.size else 0.0
         self._way = np.concatenate([self._way, start + np.cumsum(way)])[-kept:]
         dt, motion, lead = n / self._rate, poses[-1], self._lanes.lead
@@ -280,7 +296,8 @@ class FeltPosition:
 
     def __init__(self, twin: CarTwin, settings: FeltSettings) -> None:
         self.settings = settings
-        self._twin, self._road = twin, road_of(twin)
+        self._twin = twin
+        self._road: Road | None = None
         self._matching: _Matching | None = None
         self._lateness = ReceiverLateness()
         self.reset()
@@ -289,9 +306,12 @@ class FeltPosition:
         """Forget everything; the place is the receiver's."""
         self._waiting: list[tuple[float, ...]] = []
         self._accuracy = math.nan
-        self._offset = 0.0
+        self.offset = 0.0
         self._t = math.nan
+        self._pose: PlanarState | None = None
+        self._newest = np.zeros((0, 11))
         self._lateness.reset()
+        self._why = ""
         self._lose()
         if self._matching is not None:
             self._matching.restart()
@@ -306,8 +326,8 @@ class FeltPosition:
         """The ``pose`` moved to the felt place; ``force`` m/s² and ``pitch_rate`` rad/s as in ``imu/data``,
         ``accuracy`` m of the fixes."""
         dt = pose.t - self._t
-        if self.known:  # what fixes did to the pose since then is no movement
-            before = self._pose
+        before = self._pose
+        if self.known and before is not None:  # what fixes did to the pose since then is no movement
             c, s = math.cos(pose.yaw), math.sin(pose.yaw)
             moved = (pose.x - before.x) * c + (pose.y - before.y) * s
             self.ahead -= moved - 0.5 * (before.motion.speed + pose.motion.speed) * dt
@@ -318,14 +338,14 @@ class FeltPosition:
             self._lose()
             if self._waiting:
                 self._waiting.clear()
-            if self._matching is not None:
+            if self._matching is not None and not self._matching.fresh:
                 self._matching.restart()
         else:
             self._waiting.append((pose.t, pose.x, pose.y, pose.yaw, *pose.motion, force[2], pitch_rate))
-        if self._offset or self.ahead:
+        if self.offset or self.ahead:
             most = self.settings.rate * min(max(dt, 0.0), MAX_GAP)
-            self._offset += max(-most, min(most, self.ahead - self._offset))
-        return self._moved(pose) if self._offset or self.known else pose
+            self.offset += max(-most, min(most, self.ahead - self.offset))
+        return self._moved(pose) if self.offset or self.known else pose
 
     def heed_velocity(self, t: float, east: float, north: float) -> None:
         """One velocity of the receiver, of which follows how late it is."""
@@ -339,7 +359,7 @@ class FeltPosition:
 
     def _moved(self, pose: PlanarState) -> PlanarState:
         """Along the arc that it drives, its yaw that of the felt place."""
-        along, motion = self._offset, pose.motion
+        along, motion = self.offset, pose.motion
         bend = motion.yaw_rate / motion.speed if abs(motion.speed) > _CRAWL else 0.0
         angle = pose.yaw - 0.5 * bend * along
         c, s = math.cos(angle), math.sin(angle)
@@ -351,16 +371,17 @@ class FeltPosition:
         return pose._replace(x=pose.x + along * c, y=pose.y + along * s, covariance=covariance)
 
     def rest(self) -> None:
-        """Take the samples that wait, once there are enough of them."""
-        if not self._waiting:
+        """Take the samples that wait, once there are enough of them; at the first poor fix, prepare for them."""
+        if self._why or not self._accuracy > POOR_FIX:
             return
         matching = self._matching
         if matching is None or not 0.25 * matching.sigma < self._accuracy <= matching.sigma:
-            # The power of 2 above it: a receiver's word on its accuracy changes from fix to fix.
-            sigma = 2.0 ** math.ceil(math.log2(self._accuracy))
-            matching = self._matching = _Matching(self._twin, self._road, self.settings.filter, sigma)
-            self._lose()
-        if self._waiting[-1][0] - self._waiting[0][0] < (_FIRST if matching.fresh else _BATCH):
+            matching = self._prepare()
+        if (
+            matching is None
+            or not self._waiting
+            or self._waiting[-1][0] - self._waiting[0][0] < (_FIRST if matching.fresh else _BATCH)
+        ):
             return
         rows = np.array(self._waiting)
         self._waiting.clear()
@@ -383,6 +404,27 @@ class FeltPosition:
             self.known, self.ahead, self.spread = True, matching.ahead, bank.spread
         else:
             self._lose()
+
+    def _prepare(self) -> _Matching | None:
+        """Lanes and bank for the receiver; None where there cannot be any."""
+        self._lose()
+        # The power of 2 above it: a receiver's word on its accuracy changes from fix to fix.
+        sigma = 2.0 ** math.ceil(math.log2(self._accuracy))
+        try:
+            self._road = self._road or road_of(self._twin)
+            self._matching = _Matching(self._twin, self._road, self.settings.filter, sigma)
+        except InputError as error:
+            self._waiting.clear()
+            self._why = str(error)
+        return self._matching
+
+    def condition(self) -> str:
+        """The state of the matching in a few words."""
+        if self._why or not self._accuracy > POOR_FIX:
+            return self._why or "not looked for: the receiver knows the place"
+        if not self.known:
+            return "not known: the receiver's place is kept"
+        return f"{self.ahead:+.2f} m ahead of the receiver's, to {self.spread:.2f} m"
 
 
 def _is_broken(rows: Floats) -> bool:

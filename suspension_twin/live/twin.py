@@ -109,7 +109,7 @@ class DigitalTwin:
         lock.lateness = felt.lateness
         return moved
 
-    def lead(self, t: float, east: float, north: float) -> None:
+    def take_velocity(self, t: float, east: float, north: float) -> None:
         """One velocity of the antenna for the pose, as :meth:`push_velocity`."""
         if self.lock is not None:
             self.lock.on_velocity(t, east, north)
@@ -140,7 +140,7 @@ class DigitalTwin:
         self._follow_clock("velocity", t)
         if self.ingest is not None:
             self.ingest.heed_velocity(t, east, north)
-        self.lead(t, east, north)
+        self.take_velocity(t, east, north)
 
     def push_heading(self, t: float, yaw: float) -> None:
         """One heading at ``t`` s: yaw of ``base_link`` in ``map`` in rad."""

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bank of places along the road, weighted by what the IMU feels there and by what a model expects to feel.
 
-A place is a distance ahead of the receiver's. Beside the places stands the null hypothesis: road and drive do not belong
-together. It expects nothing and takes the measured signal for noise of the size that it has; a place takes what it does
-not explain for noise of ``SHARES`` of that size. A filter in the sense of Bayes: weights are moved, multiplied by
-likelihoods and normalised, so that a lock on a wrong place needs evidence that comes by chance as rarely as its odds say.
+A place is a distance ahead of one that is carried on. Beside the places stands the null hypothesis: road and drive do
+not belong together. It expects nothing and takes the measured signal for noise of the size that it has; a place takes
+what it does not explain for noise of ``SHARES`` of that size. A Bayes filter: weights are moved, multiplied by
+likelihoods and normalised, so that evidence for a wrong place comes by chance as rarely as its odds say.
 """
 
 from __future__ import annotations
@@ -26,8 +26,6 @@ SHARES = np.array([0.2, 0.4, 0.75])
 RECEIVER_TIME = 60.0
 #: s over which the size of the motion is averaged: a car's body comes to rest in about that.
 _RINGING = 1.0
-#: Largest correlation of neighbouring samples (numerics: at 1 there would be no sample at all).
-_ALIKE = 0.999
 
 
 class PlaceBank:
@@ -89,7 +87,9 @@ class PlaceBank:
     def spread(self) -> float:
         """Standard deviation in m, as the mean."""
         places = self.weights.sum(axis=0)
-        return math.sqrt(max(float(places @ (self.offsets - self.mean) ** 2 / places.sum()), self.step**2 / 12))
+        return math.sqrt(
+            max(float(places @ (self.offsets - self.mean) ** 2 / places.sum()), self.step**2 / 12)
+        )
 
 
 class Evidence:
@@ -109,7 +109,8 @@ class Evidence:
         """(shares, p) of ``dt`` s of signals ``measured`` (n, c); ``products`` (p, c) are the means of measured times
         expected, ``squares`` (p, c) of expected squared.
 
-        Neighbouring samples are alike: n of correlation r count as n (1 - r) / (1 + r) (Bayley and Hammersley 1946).
+        Neighbouring samples are alike: a signal has an independent value in every half wave, of which n samples of
+        correlation r hold n acos(r) / pi (Rice 1945).
         """
         share = dt / (_RINGING + dt)
         own = np.mean(measured**2, axis=0)
@@ -119,8 +120,7 @@ class Evidence:
         self._lagged += share * (lagged - self._lagged)
         self._expected += share * (squares - self._expected)
         alike = self._lagged / np.maximum(self._measured, self._floor)
-        alike = np.clip(alike, 0.0, _ALIKE)
-        count = len(measured) * (1.0 - alike) / (1.0 + alike)
+        count = len(measured) * np.arccos(np.clip(alike, 0.0, 1.0)) / math.pi
         size = np.maximum(own, self._measured)
         null = np.maximum(size, self._floor)
         motion = np.maximum(size, np.maximum(squares, self._expected))

@@ -22,14 +22,14 @@ _APART = (0.9, 2.5)
 _MEMORY = 120.0
 #: m/s, least standard deviation of the difference of two speeds (Doppler of a good receiver).
 _LEAST = 0.05
-#: s, the spread from which on the lateness is known; m/s² that are felt in no car.
-_KNOWN = 0.1
+#: s, standard deviation of those that are tried, before any speed.
+_IGNORANT = float(np.sqrt(np.cov(_TRIED, aweights=np.exp(-0.5 * (_TRIED / LATE) ** 2), ddof=0)))
 
 
 class ReceiverLateness:
     """Weighs latenesses by how well speeds fit to the integral of the forward specific force so much earlier.
 
-    ``seconds`` is the lateness, 0 while it is not known, and ``spread`` s its standard deviation.
+    ``seconds`` is the lateness that is sure, 0 at first, and ``spread`` s the standard deviation about it.
     """
 
     def __init__(self) -> None:
@@ -79,4 +79,6 @@ class ReceiverLateness:
         weights /= weights.sum()
         mean = float(weights @ _TRIED)
         spread = math.sqrt(float(weights @ (_TRIED - mean) ** 2))
-        self.seconds, self.spread = (mean, spread) if spread < _KNOWN and self._count > 3.0 else (0.0, LATE)
+        # shrunk to none as long as the speeds say little
+        self.seconds = mean * max(0.0, 1.0 - (spread / _IGNORANT) ** 2)
+        self.spread = math.hypot(spread, mean - self.seconds)
