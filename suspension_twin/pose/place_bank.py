@@ -126,7 +126,7 @@ class Evidence:
         motion = np.maximum(size, np.maximum(squares, self._expected))
         left = np.maximum(own - 2.0 * products + squares, 0.0)
         noise = np.maximum(SHARES[:, None, None] ** 2 * motion, self._floor)
-        gain = np.log(null) + own / null - np.log(noise) - left / noise
+        gain = (np.log(null) + own / null) - (np.log(noise) + left / noise)
         out: Floats = 0.5 * (gain * count).sum(axis=2)
         return out
 
