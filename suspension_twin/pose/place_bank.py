@@ -22,8 +22,13 @@ __all__ = ["SHARES", "Evidence", "PlaceBank", "correlate"]
 #: (benchmarks/discrepancy.py), a coarse one half of it, and at three quarters it explains nearly nothing.
 SHARES = np.array([0.2, 0.4, 0.75])
 #: s after which the error of a receiver is another one: the correlation time of multipath and atmosphere of code fixes,
-#: of the order of a minute (Kaplan and Hegarty, Understanding GPS, ch. 7). So long a conviction lasts without evidence.
+#: of the order of a minute (Kaplan and Hegarty, Understanding GPS, ch. 7). So long a place is remembered.
 RECEIVER_TIME = 60.0
+#: s after which a vehicle may have come onto the known road or left it (prior, by hand: ten minutes).
+_ROAD_TIME = 600.0
+#: Nats a second that are evidence for the road at most: one bump is like another, and its second alone must not
+#: outweigh what the road before it said.
+_MOST = 10.0
 #: s over which the size of the motion is averaged: a car's body comes to rest in about that.
 _RINGING = 1.0
 
@@ -60,16 +65,22 @@ class PlaceBank:
         held = np.pad(self.weights, ((0, 0), (reach, reach)), mode="edge")
         self.weights[:] = [np.convolve(row, kernel, mode="valid") for row in held]
         back = -math.expm1(-dt / RECEIVER_TIME)
+        other = -math.expm1(-dt / _ROAD_TIME)
+        known = 1.0 - self.null
         self.weights *= 1.0 - back
-        self.weights += 0.5 * back * self.prior(*prior)
-        self.null = (1.0 - back) * self.null + 0.5 * back
+        self.weights += back * known * self.prior(*prior)
+        self.weights *= 1.0 - other
+        self.weights += 0.5 * other * self.prior(*prior)
+        self.null += other * (0.5 - self.null)
         self._normalise()
 
-    def weigh(self, gain: Floats) -> None:
-        """Multiply by the likelihoods, ``gain`` (shares, p) their logarithms less that of the null hypothesis."""
-        top = max(float(gain.max()), 0.0)
-        self.weights *= np.exp(gain - top)
-        self.null *= math.exp(-top)
+    def weigh(self, dt: float, gain: Floats) -> None:
+        """Multiply by the likelihoods of ``dt`` s, ``gain`` (shares, p) their logarithms less that of the null
+        hypothesis, all of them lowered where the largest is above what may be evidence in that time."""
+        best = float(gain.max())
+        likely = min(best, _MOST * dt)
+        self.weights *= np.exp(gain - best + min(likely, 0.0))
+        self.null *= math.exp(-max(likely, 0.0))
         self._normalise()
 
     def _normalise(self) -> None:
