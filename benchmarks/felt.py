@@ -170,9 +170,9 @@ def accuracy(twin: Twin, kind: str, seeds: int, seconds: float) -> dict[str, Any
         with tempfile.TemporaryDirectory() as folder:
             found = np.array(list(felt_along(case, digital_twin(on_road(twin, road, folder)))))
         place = found[:, 1]
-        behind = [(place > at + BUMP.length) & (place < at + 2.0 * BUMP.length) for at in case.bumps]
+        passed = [(place > at + BUMP.length) & (place < at + 2.0 * BUMP.length) for at in case.bumps]
         after = place > case.bumps[0] + BUMP.length
-        rows.append(np.column_stack([found, after, np.any(behind, axis=0)]))
+        rows.append(np.column_stack([found, after, np.any(passed, axis=0)]))
     table = np.concatenate(rows)
     after, behind, known = table[:, 6] > 0, table[:, 7] > 0, np.isfinite(table[:, 5])
     return {

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +27,7 @@ from suspension_twin.models.sensor_chain import Chain
 from suspension_twin.models.simulate import CAR_SIGNALS, LaneBlocks, Stretch
 from suspension_twin.models.types import PoseSample
 from suspension_twin.pose.lock import PlanarState
-from suspension_twin.pose.place_bank import RECEIVER_TIME, Evidence, PlaceBank, correlate
+from suspension_twin.pose.place_bank import RECEIVER_TIME, PlaceBank, PlaceEvidence, correlate
 from suspension_twin.pose.receiver_lateness import LATE, ReceiverLateness
 from suspension_twin.pose.types import VELOCITY_SHARE
 from suspension_twin.road.road import Road
@@ -45,8 +46,8 @@ _SPEED_TIME = 3.0
 _FASTEST, _SLOWEST, _CRAWL = 30.0, 5.0, 1.1
 #: Hz beyond which no car passes on what the road is: behind the resonance of the wheels at 10 to 15 Hz.
 _HIGHEST = 20.0
-#: Standard deviations that the bank reaches to.
-_REACH = 3.0
+#: Standard deviations that the bank reaches to, and the largest of them in m: beyond it lanes are too far apart.
+_REACH, _POOREST = 3.0, 8.0
 #: The high-pass of measured and expected signals removes slopes, gravity and biases (Hz, below the body's resonance).
 _SLOW = FilterSpec(1, 0.5)
 #: Signals that are compared, and what a phone's sensor and its mount add to them: m/s², rad/s.
@@ -221,16 +222,17 @@ class _Matching:
         (x,), (y,) = road.uv_to_xy([road.u_first], [0.5 * float(road.v[0] + road.v[-1])])
         poses = np.array([[x, y, road.headings[0], 0.0, 0.0, 0.0, 0.0, 0.0]] * 3)
         felt = np.zeros((3, len(_CHANNELS)))
-        self.take(np.array([0.0, 0.01, 0.02]), poses, felt, self.sigma, LATE)
-        self._behind, behind = np.zeros(self._parts), self._behind
-        self._weigh(0.03, felt)
+        behind, self._behind = self._behind, np.zeros(self._parts)
+        with suppress(InputError):  # where it has no heights beyond its ends
+            self.take(np.array([0.0, 0.01, 0.02]), poses, felt, self.sigma, LATE)
+            self._weigh(0.03, felt)
         self._behind = behind
         self.restart()
 
     def restart(self) -> None:
         """Begin anew."""
         self._lanes.restart()
-        self._evidence = Evidence(_FLOOR, self.bank.offsets.size)
+        self._evidence = PlaceEvidence(_FLOOR, self.bank.offsets.size)
         self._rate = math.nan
         self.fresh = True
 
@@ -340,7 +342,7 @@ class FeltPosition:
                 self._waiting.clear()
             if self._matching is not None and not self._matching.fresh:
                 self._matching.restart()
-        else:
+        elif not self._why:
             self._waiting.append((pose.t, pose.x, pose.y, pose.yaw, *pose.motion, force[2], pitch_rate))
         if self.offset or self.ahead:
             most = self.settings.rate * min(max(dt, 0.0), MAX_GAP)
@@ -374,9 +376,10 @@ class FeltPosition:
         """Take the samples that wait, once there are enough of them; at the first poor fix, prepare for them."""
         if self._why or not self._accuracy > POOR_FIX:
             return
-        matching = self._matching
-        if matching is None or not 0.25 * matching.sigma < self._accuracy <= matching.sigma:
-            matching = self._prepare()
+        matching, sigma = self._matching, min(self._accuracy, _POOREST)
+        if matching is None or not 0.25 * matching.sigma < sigma <= matching.sigma:
+            # The power of 2 above it: a receiver's word on its accuracy changes from fix to fix.
+            matching = self._prepare(2.0 ** math.ceil(math.log2(sigma)))
         if (
             matching is None
             or not self._waiting
@@ -395,7 +398,7 @@ class FeltPosition:
             matching.restart()
             self._lose()
             return
-        bank, sigma = matching.bank, self._accuracy
+        bank = matching.bank
         if self.known:
             believed = bank.null < 1.0 - _UNSURE and bank.spread < sigma
         else:
@@ -405,11 +408,9 @@ class FeltPosition:
         else:
             self._lose()
 
-    def _prepare(self) -> _Matching | None:
-        """Lanes and bank for the receiver; None where there cannot be any."""
+    def _prepare(self, sigma: float) -> _Matching | None:
+        """Lanes and bank for a receiver of up to ``sigma`` m; None where there cannot be any."""
         self._lose()
-        # The power of 2 above it: a receiver's word on its accuracy changes from fix to fix.
-        sigma = 2.0 ** math.ceil(math.log2(self._accuracy))
         try:
             self._road = self._road or road_of(self._twin)
             self._matching = _Matching(self._twin, self._road, self.settings.filter, sigma)

@@ -16,7 +16,7 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
 
-__all__ = ["SHARES", "Evidence", "PlaceBank", "correlate"]
+__all__ = ["SHARES", "PlaceBank", "PlaceEvidence", "correlate"]
 
 #: Residuals of a model as shares of the motion: a calibrated one of a sound car leaves a fifth
 #: (benchmarks/discrepancy.py), a coarse one half of it, and at three quarters it explains nearly nothing.
@@ -103,7 +103,7 @@ class PlaceBank:
         )
 
 
-class Evidence:
+class PlaceEvidence:
     """Log-likelihoods of places over that of the null hypothesis, stretch by stretch.
 
     ``floor`` (c,) are standard deviations of the c measured signals from below which nothing follows.

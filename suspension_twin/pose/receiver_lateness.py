@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 
 import numpy as np
 
@@ -18,6 +19,8 @@ _TRIED = np.arange(0.0, 1.0001, 0.05)
 #: s between two speeds whose difference is compared, at least and at most: shorter ones are noise, over longer ones
 #: tilt and bias add up.
 _APART = (0.9, 2.5)
+#: s of the integral that are kept.
+_KEPT = _APART[1] + 2.0
 #: s after which an old comparison counts half as much: a receiver's lateness changes with its mode, if at all.
 _MEMORY = 120.0
 #: m/s, least standard deviation of the difference of two speeds (Doppler of a good receiver).
@@ -50,6 +53,9 @@ class ReceiverLateness:
         dt = t - last
         if not 0.0 <= dt < _APART[0]:
             self._t, self._gained, dt = [], [], 0.0
+        if self._t and t - self._t[0] > 2.0 * _KEPT:
+            kept = bisect_left(self._t, t - _KEPT)
+            del self._t[:kept], self._gained[:kept]
         self._t.append(t)
         self._gained.append((self._gained[-1] if self._gained else 0.0) + ahead * dt)
 
@@ -60,9 +66,6 @@ class ReceiverLateness:
         if dt < _APART[0] and dt > 0.0:
             return
         self._before = t, speed
-        reach = t - _APART[1] - _TRIED[-1] - _APART[0]
-        kept = next((k for k, stamp in enumerate(self._t) if stamp >= reach), len(self._t))
-        del self._t[:kept], self._gained[:kept]
         if not _APART[0] <= dt <= _APART[1] or not self._t or self._t[0] > before - _TRIED[-1]:
             return
         then, now = (np.interp(stamp - _TRIED, self._t, self._gained) for stamp in (before, t))

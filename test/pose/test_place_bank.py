@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from suspension_twin.pose.place_bank import SHARES, Evidence, PlaceBank, correlate
+from suspension_twin.pose.place_bank import SHARES, PlaceBank, PlaceEvidence, correlate
 
 OFFSETS = np.arange(-8.0, 8.01, 0.25)
 FLOOR = np.array([0.05])
@@ -16,7 +16,7 @@ FLOOR = np.array([0.05])
 
 def evidence_of(measured: np.ndarray, expected: np.ndarray, batch: int = 10) -> np.ndarray:
     """Summed log-likelihood ratios (shares, p) of one signal ``measured`` (n,) and ``expected`` (n, p)."""
-    evidence, total = Evidence(FLOOR, expected.shape[1]), np.zeros((SHARES.size, expected.shape[1]))
+    evidence, total = PlaceEvidence(FLOOR, expected.shape[1]), np.zeros((SHARES.size, expected.shape[1]))
     for k in range(0, len(measured), batch):
         y, s = measured[k : k + batch], expected[k : k + batch]
         total += evidence.gain(
