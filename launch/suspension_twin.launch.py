@@ -42,11 +42,6 @@ def generate_launch_description() -> LaunchDescription:
             "sources", default_value="", description="URLs of live sources, separated by spaces."
         ),
         DeclareLaunchArgument(
-            "felt_position",
-            default_value="auto",
-            description="Move the pose of a poor receiver to where the road is felt: auto or off.",
-        ),
-        DeclareLaunchArgument(
             "learn_road",
             default_value="",
             description="Path of the OpenCRG road that is learnt while driving.",
@@ -57,7 +52,6 @@ def generate_launch_description() -> LaunchDescription:
         {
             "twin": ParameterValue(LaunchConfiguration("twin"), value_type=str),
             "use_sim_time": ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool),
-            "felt_position": ParameterValue(LaunchConfiguration("felt_position"), value_type=str),
         },
     ]
     nodes = [
