@@ -31,7 +31,7 @@ PICTURES = {"bump_time": "bump.png", "characteristics": "characteristics.png", "
 #: What each node does, in a few words.
 DOES = {
     "imu_ingest": "axes, biases and units of the IMU; low-pass",
-    "pose_injector": "GPS and gyroscope to a smooth pose at the IMU's rate",
+    "pose_injector": "GPS and gyroscope to a smooth pose at the IMU's rate, by a poor receiver where it is felt",
     "suspension_model": "the twin along that pose over the road; the gap",
     "calibrator": "calibration and diagnosis of recorded drives",
     "source": "live phones, receivers and IMUs ([sources](sources.md)); only where it is given sources",
@@ -54,7 +54,7 @@ CARRIES = {
     "heading": ("any", "optional; yaw of the vehicle from east, counter-clockwise"),
     "twin/odom": (
         "`map`, child `base_link`",
-        "pose m and speed m/s, locked to the vehicle in x, y and yaw; covariance",
+        "pose m and speed m/s, locked to the vehicle in x, y and yaw; covariance, along the road that of a felt place",
     ),
     "twin/vertical_acceleration": (
         _BASE,

@@ -6,9 +6,11 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
+import numpy as np
 import pytest
 from hypothesis import settings
 
@@ -35,8 +37,10 @@ settings.register_profile(
 settings.load_profile("untimed")
 
 from suspension_twin.calibration.presets import TABLE_2, with_table_2  # noqa: E402
+from suspension_twin.drive.types import Drive, FixData, VelocityData  # noqa: E402
 from suspension_twin.drive.write import write_drive  # noqa: E402
-from suspension_twin.inference.synthetic import SensorErrors, synthetic_drive  # noqa: E402
+from suspension_twin.inference.synthetic import SensorErrors, path_along, synthetic_drive  # noqa: E402
+from suspension_twin.pose.local_map import LocalMap  # noqa: E402
 from suspension_twin.road import bump_road, circular, write_road  # noqa: E402
 from suspension_twin.road.roughness import iso8608_road  # noqa: E402
 from suspension_twin.vehicle.twin import RoadFile, Twin, parse_twin, save_twin  # noqa: E402
@@ -174,3 +178,36 @@ def pass_case(tmp_path_factory: pytest.TempPathFactory, mondeo: Twin) -> Case:
     drive = synthetic_drive(base.with_changes(truth), road, [(0.0, 4.2), (6.0, 4.2)], seed=3, name="pass")
     write_drive(drive, folder / "pass")
     return Case(folder, base.with_changes(truth), base.with_changes(middle))
+
+
+class PhoneDrive(NamedTuple):
+    """A drive to the east as a phone recorded it, its twin, and its true place (n,) m at ``t`` s."""
+
+    drive: Drive
+    twin: Twin
+    t: np.ndarray
+    place: np.ndarray
+
+
+@pytest.fixture(scope="session")
+def phone_drive(tmp_path_factory: pytest.TempPathFactory, mondeo: Twin) -> PhoneDrive:
+    """22 s on a road of ISO class C; the receiver is 2.5 m off, once a second, 0.4 s late beyond its stamps."""
+    folder, seed, late = tmp_path_factory.mktemp("phone"), 5, 0.4
+    road = iso8608_road("C", 200.0, width=12.0, v_step=6.0, seed=seed)
+    road = road.with_heights(np.repeat(road.z[:, 1:2], 3, axis=1))
+    write_road(road, folder / "road.crg")
+    knots = [(0.0, 0.0), (2.0, 0.0), (8.0, 8.0), (22.0, 8.0)]
+    exact = synthetic_drive(mondeo, road, knots, seed, SensorErrors(position=1e-3), u=10.0, name="phone")
+    rng, kept, here = np.random.default_rng(seed), np.arange(0, len(exact.fix), 10), LocalMap(mondeo.datum)
+    fix, velocity = exact.fix, exact.velocity
+    t = fix.t[kept]
+    place = here.to_map(fix.latitude, fix.longitude, fix.altitude)
+    place = np.stack([np.interp(t - late, fix.t, column) for column in place.T]).T
+    place += np.array([1.8, -1.7, 0.0]) + 0.3 * rng.standard_normal(place.shape)
+    latitude, longitude, altitude = here.to_geodetic(place).T
+    enu = np.stack([np.interp(t - late, velocity.t, column) for column in velocity.enu.T]).T
+    fixes = FixData(t, latitude, longitude, altitude, fix.status[kept], np.full((t.size, 3), 2.5))
+    speeds = VelocityData(t, enu + 0.1 * rng.standard_normal(enu.shape))
+    way = path_along(road, exact.imu.t - 1.7e9, knots, 10.0).x
+    twin = mondeo.model_copy(update={"road": RoadFile(file=folder / "road.crg")})
+    return PhoneDrive(replace(exact, fix=fixes, velocity=speeds), twin, exact.imu.t, way)

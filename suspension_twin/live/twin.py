@@ -15,6 +15,7 @@ from suspension_twin.drive.checks import nanoseconds
 from suspension_twin.drive.received import LivePlaces
 from suspension_twin.drive.types import Drive
 from suspension_twin.inference.sensor_correction import SensorCorrection
+from suspension_twin.live.felt import FeltPosition, FeltSettings, felt_stage
 from suspension_twin.live.follow import BodyAcceleration, Followed, Follower, FollowSettings
 from suspension_twin.pose.lock import PlanarState, PoseLock
 from suspension_twin.pose.types import PoseSettings
@@ -66,6 +67,8 @@ class DigitalTwin:
         These and the receiver's messages to the locked pose.
     follower : Follower, optional
         The model that follows that pose, and the live gap.
+    felt : FeltPosition, optional
+        Moves the pose along the road to where the vehicle is felt to be.
 
     Examples
     --------
@@ -80,19 +83,43 @@ class DigitalTwin:
     ingest: ImuIngest | None = None
     lock: PoseLock | None = None
     follower: Follower | None = None
+    felt: FeltPosition | None = None
     _places: LivePlaces = field(default_factory=LivePlaces, init=False, repr=False)
     _newest: dict[str, float] = field(default_factory=dict, repr=False)
 
     def push_imu(self, t: float, force: Vector, rate: Vector) -> Update | None:
         """One sample at ``t`` s in the sensor's axes: specific force m/s², angular rate rad/s. None while the rate of
         the samples is not known, and for one that was dropped."""
+        self.rest()
         self._follow_clock("imu", t)
         sample = None if self.ingest is None else self.ingest.push(t, force, rate)
         if sample is None:
             return None
-        pose = None if self.lock is None else self.lock.on_imu(t, sample.force, sample.rate)
+        pose = self.locate(t, sample.force, sample.rate)
         measured = BodyAcceleration(sample.acceleration, sample.angular_acceleration)
         return Update(sample, pose, self.follow(t, pose, measured))
+
+    def locate(self, t: float, force: Vector, rate: Vector) -> PlanarState | None:
+        """The pose by a filtered sample in ``base_link`` axes, gravity kept, moved to where the place is felt."""
+        lock, felt = self.lock, self.felt
+        pose = None if lock is None else lock.on_imu(t, force, rate)
+        if lock is None or felt is None or pose is None:
+            return pose
+        moved = felt.step(pose, force, rate[1], lock.fix_accuracy)
+        lock.lateness = felt.lateness
+        return moved
+
+    def take_velocity(self, t: float, east: float, north: float) -> None:
+        """One velocity of the antenna for the pose, as :meth:`push_velocity`."""
+        if self.lock is not None:
+            self.lock.on_velocity(t, east, north)
+        if self.felt is not None:
+            self.felt.heed_velocity(t, east, north)
+
+    def rest(self) -> None:
+        """Do the work that may wait until the answer to a sample is out; else it is done before the next one."""
+        if self.felt is not None:
+            self.felt.rest()
 
     def is_held(self, t: float, latitude: float, longitude: float, status: int) -> bool:
         """Whether a fix at ``t`` s repeats the place of the one before it although the receiver had computed none; to
@@ -113,8 +140,7 @@ class DigitalTwin:
         self._follow_clock("velocity", t)
         if self.ingest is not None:
             self.ingest.heed_velocity(t, east, north)
-        if self.lock is not None:
-            self.lock.on_velocity(t, east, north)
+        self.take_velocity(t, east, north)
 
     def push_heading(self, t: float, yaw: float) -> None:
         """One heading at ``t`` s: yaw of ``base_link`` in ``map`` in rad."""
@@ -144,7 +170,7 @@ class DigitalTwin:
         """Forget everything but settings and datum."""
         self._newest.clear()
         self._places = LivePlaces()
-        for stage in (self.ingest, self.lock, self.follower):
+        for stage in (self.ingest, self.lock, self.felt, self.follower):
             if stage is not None:
                 stage.reset()
 
@@ -160,6 +186,7 @@ def digital_twin(
     imu: ImuSettings | None = None,
     pose: PoseSettings | None = None,
     follow: FollowSettings | None = None,
+    felt: FeltSettings | None = None,
 ) -> DigitalTwin:
     """Make the live twin of a twin file, which follows its vehicle sample by sample.
 
@@ -173,6 +200,8 @@ def digital_twin(
         Noise and gates of the pose, and the delay of that low-pass.
     follow : FollowSettings, optional
         The live gap, and that low-pass.
+    felt : FeltSettings, optional
+        How the pose of a poor receiver is moved to the felt place, and that low-pass.
 
     Returns
     -------
@@ -193,7 +222,10 @@ def digital_twin(
     imu = imu or ImuSettings()
     pose = pose or PoseSettings(imu_delay=delay_of(imu.filter))
     follow = follow or FollowSettings(filter=imu.filter)
-    return DigitalTwin(ingest_stage(twin, imu), lock_stage(twin, pose, twin.datum), Follower(twin, follow))
+    place = felt_stage(twin, felt or FeltSettings(filter=imu.filter))
+    return DigitalTwin(
+        ingest_stage(twin, imu), lock_stage(twin, pose, twin.datum), Follower(twin, follow), place
+    )
 
 
 def schedule(drive: Drive) -> tuple[NDArray[np.int64], NDArray[np.int8], NDArray[np.int64]]:

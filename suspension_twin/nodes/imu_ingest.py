@@ -157,6 +157,7 @@ class ImuIngestNode(TwinNode):
         if update is not None:
             for take in self.outlets:
                 take(update, ns)
+            self.outbox.later(self.twin.rest)
 
     def publish(self, update: Update, ns: int) -> None:
         """Publish the filtered sample."""

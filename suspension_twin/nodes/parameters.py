@@ -46,6 +46,7 @@ _TYPES = {
     str: "a string",
 }
 _KEY = "ros__parameters"
+_OFF = "off"
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,12 @@ class Param:
                 out.integer_range = [IntegerRange(from_value=int(self.low), to_value=int(self.high), step=1)]
         if self.choices:
             out.additional_constraints = "one of " + ", ".join(self.choices)
+        out.dynamic_typing = _OFF in self.choices
         return out
+
+    def read(self, value: Any) -> Any:
+        """``value`` as meant: ROS reads the word off of a command line as false."""
+        return _OFF if value is False and _OFF in self.choices else value
 
     def refuse(self, value: Any) -> str | None:
         """Why ``value`` is not accepted; None if it is."""
@@ -122,7 +128,7 @@ class ParameterSet:
             reason = str(error).rpartition("Reason: ")[2].rstrip(".")
             bounds = "" if param.low is None else f" (from {param.low:g} to {param.high:g})"
             raise InputError(node.get_name(), param.name, reason + bounds) from None
-        return list(value) if isinstance(param.default, list) else value
+        return list(value) if isinstance(param.default, list) else param.read(value)
 
     def _refuse_unusable(self, values: Values) -> None:
         for name, value in values.items():
@@ -132,7 +138,8 @@ class ParameterSet:
         self._check(values)
 
     def _merged(self, parameters: list[Parameter]) -> Values:
-        return self.values | {p.name: p.value for p in parameters if p.name in self._params}
+        known = self._params
+        return self.values | {p.name: known[p.name].read(p.value) for p in parameters if p.name in known}
 
     def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
         try:

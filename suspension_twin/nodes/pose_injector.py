@@ -14,6 +14,7 @@ from pydantic import ValidationError
 from sensor_msgs.msg import Imu, NavSatFix
 
 from suspension_twin.errors import InputError
+from suspension_twin.live.felt import FeltSettings, felt_stage
 from suspension_twin.live.twin import Update, compile_stages, delay_of, lock_stage
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.messages import fill_odometry, put_stamp, sigmas_of, yaw_of
@@ -94,6 +95,20 @@ class PoseInjectorNode(TwinNode):
             20000.0,
         ),
         *(Param(name, getattr(_DEFAULT, name), text, low, high) for name, text, low, high in _SETTINGS),
+        Param(
+            "felt_position",
+            "auto",
+            "Where fixes are worse than 0.3 m and the twin file has a road: move the pose along the road to where the "
+            "IMU feels it to be (auto), or not (off).",
+            choices=("auto", "off"),
+        ),
+        Param(
+            "felt_rate",
+            FeltSettings().rate,
+            "Largest speed in m/s at which a felt place moves the pose.",
+            0.01,
+            50.0,
+        ),
     )
 
     def __init__(self, embedding: Embedding | None = None) -> None:
@@ -121,19 +136,24 @@ class PoseInjectorNode(TwinNode):
         twin = twin_of(self.values)
         self._frame = None if twin is None else twin.gps.frame
         self._lock = self.twin.lock = lock_stage(twin, _settings(self.values), _datum(self.values))
+        felt = felt_stage(twin, FeltSettings(self.values["felt_rate"], filter_of(self.values)))
+        self.twin.felt = felt if self.values["felt_position"] == "auto" else None
         self._counted.clear()
 
     def reset(self) -> None:
         """See the base class. A datum that was set stays."""
         self._lock.reset()
+        if self.twin.felt is not None:
+            self.twin.felt.reset()
         self._counted.clear()
 
     def _on_imu(self, message: Imu, ns: int) -> None:
         a, w = message.linear_acceleration, message.angular_velocity
         if not math.isfinite(a.x + a.y + a.z + w.x + w.y + w.z):
             raise InputError("imu/data", "message dropped: a value is not finite")
-        pose = self._lock.on_imu(ns / 1e9, (a.x, a.y, a.z), (w.x, w.y, w.z))
+        pose = self.twin.locate(ns / 1e9, (a.x, a.y, a.z), (w.x, w.y, w.z))
         self.publish(Update(None, pose), ns)
+        self.outbox.later(self.twin.rest)
 
     def take(self, update: Update, ns: int) -> None:
         """Publish what the twin makes of a sample that has gone through all stages in this process."""
@@ -157,7 +177,7 @@ class PoseInjectorNode(TwinNode):
             self._lock.on_fix(ns / 1e9, *place, status, *sigmas_of(message))
 
     def _on_velocity(self, message: TwistStamped, ns: int) -> None:
-        self._lock.on_velocity(ns / 1e9, message.twist.linear.x, message.twist.linear.y)
+        self.twin.take_velocity(ns / 1e9, message.twist.linear.x, message.twist.linear.y)
 
     def _on_heading(self, message: QuaternionStamped, ns: int) -> None:
         q = message.quaternion
@@ -175,6 +195,7 @@ class PoseInjectorNode(TwinNode):
             response.success, response.message = False, f"{key}: {text}"
             return response
         self._lock.set_datum(datum)
+        self.reset()
         response.success = True
         response.message = (
             f"datum set to {datum.latitude:.7f}°, {datum.longitude:.7f}°, {datum.altitude:.2f} m"
@@ -196,6 +217,8 @@ class PoseInjectorNode(TwinNode):
         if datum is not None:
             shown = f"{datum.latitude:.8f}° {datum.longitude:.8f}° {datum.altitude:.3f} m"
         values["datum"] = shown
+        if self.twin.felt is not None:
+            values["felt place"] = self.twin.felt.condition()
 
 
 def _settings(values: Values) -> PoseSettings:

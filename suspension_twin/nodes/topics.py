@@ -92,6 +92,7 @@ class Outbox:
     def __init__(self) -> None:
         self._depth = 0
         self._waiting: list[tuple[Publisher, object]] = []
+        self._later: dict[Callable[[], None], None] = {}
 
     def enter(self) -> None:
         """A callback begins."""
@@ -102,12 +103,25 @@ class Outbox:
         self._depth -= 1
         if self._waiting and not self._depth:
             self.flush()
+        if self._later and not self._depth:
+            self._rest()
 
     def add(self, publisher: Publisher, message: object) -> None:
         """Publish ``message`` when the outermost callback ends; at once outside of any callback."""
         self._waiting.append((publisher, message))
         if not self._depth:
             self.flush()
+
+    def later(self, work: Callable[[], None]) -> None:
+        """Do ``work`` once behind the messages, when the outermost callback has ended; at once outside of any."""
+        self._later[work] = None
+        if not self._depth:
+            self._rest()
+
+    def _rest(self) -> None:
+        waiting, self._later = self._later, {}
+        for work in waiting:
+            work()
 
     def flush(self) -> None:
         """Publish all waiting messages in the order in which they were added."""

@@ -231,6 +231,10 @@ class PoseLock:
         self._last_fix = -math.inf
         self._place: tuple[float, float, float, float] | None = None
         self._fix_latency = math.nan
+        #: Standard deviation in m of the newest fix, NaN before it.
+        self.fix_accuracy = math.nan
+        #: s by which the receiver is late beyond its stamps.
+        self.lateness = 0.0
 
     @property
     def datum(self) -> Datum | None:
@@ -367,15 +371,16 @@ class PoseLock:
                 age if math.isnan(self._fix_latency) else self._fix_latency + 0.1 * (age - self._fix_latency)
             )
         self._last_fix = max(self._last_fix, t)
+        self.fix_accuracy = sigma
         self._noise.by_fixes(sigma)
-        self._arrive(t, ekf.FIX, (east, north, sigma))
+        self._arrive(t - self.lateness, ekf.FIX, (east, north, sigma))
 
     def on_velocity(self, t: float, east: float, north: float) -> None:
         """One GPS velocity of the antenna in m/s."""
         if not all(map(math.isfinite, (t, east, north))) or math.hypot(east, north) > 150.0:
             self.counts["unusable"] += 1
             return
-        self._arrive(t, ekf.VELOCITY, (east, north, self._noise.sigma))
+        self._arrive(t - self.lateness, ekf.VELOCITY, (east, north, self._noise.sigma))
 
     def on_heading(self, t: float, yaw: float) -> None:
         """One heading: yaw of ``base_link`` in ``map`` in rad."""

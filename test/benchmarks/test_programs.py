@@ -20,6 +20,7 @@ TABLES = {
     "diagnosis": r"two drives with the gap +library .* s, processor",
     "discrepancy": r"linear filters of the road",
     "export": r"communication step, ms +times real time",
+    "felt": r"false locks",
     "fleet": r"sound vehicles named",
     "fleet_scaling": r"One core is full in the scheduler at",
     "fmu": r"Error of the parameters found",

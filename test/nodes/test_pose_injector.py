@@ -13,9 +13,11 @@ from nodes_bench import put_stamp, stamp_of, worst
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Imu, NavSatFix, NavSatStatus
 
+from suspension_twin.live.twin import digital_twin, replay, schedule
 from suspension_twin.nodes.pose_injector import PoseInjectorNode
 from suspension_twin.pose.local_map import LocalMap
-from suspension_twin.vehicle.twin import Datum
+from suspension_twin.testing import running_twin
+from suspension_twin.vehicle.twin import Datum, save_twin
 from suspension_twin_interfaces.srv import SetDatum
 
 T0 = 1.7e9
@@ -235,3 +237,68 @@ def test_a_fix_in_another_frame_is_told(bench, twin_path):
     node = bench.make(PoseInjectorNode, twin=str(twin_path))
     straight(node, 1.0, frame="roof")
     assert "'roof'" in worst(node)[1]
+
+
+@pytest.mark.parametrize(("given", "is_there"), [("auto", True), ("off", False), (False, False)])
+def test_a_felt_place_can_be_switched_off(bench, twin_path, given, is_there):
+    """ROS reads the word off of a command line as false."""
+    node = bench.make(PoseInjectorNode, twin=str(twin_path), felt_position=given)
+    assert (node.twin.felt is not None) == is_there
+    (set_to,) = node.set_parameters([Parameter("felt_position", value="auto")])
+    assert set_to.successful and node.twin.felt is not None
+    (refused,) = node.set_parameters([Parameter("felt_position", value="on")])
+    assert not refused.successful and "auto, off" in refused.reason
+
+
+def test_the_felt_place_of_the_nodes_is_that_of_the_live_twin(phone_drive):
+    """In one process a sample's work is done behind its answer, with the same result."""
+    twin = digital_twin(phone_drive.twin)
+    twin.follower = None
+    wanted = [u.pose for u in replay(phone_drive.drive, twin) if u.pose is not None]
+    assert twin.felt is not None and twin.felt.known and abs(twin.felt.offset) > 0.3
+    with running_twin(phone_drive.twin) as nodes:
+        odom = nodes.replay(phone_drive.drive, ["twin/odom"])["twin/odom"]
+    # the ingest of the nodes is not told of velocities
+    np.testing.assert_allclose(odom["pose.pose.position.x"], [p.x for p in wanted], atol=2e-3)
+    np.testing.assert_allclose(
+        odom["pose.covariance"][-500:, 0], [p.covariance[0] for p in wanted[-500:]], rtol=0.05
+    )
+
+
+def test_in_a_process_of_its_own_the_node_feels_the_place_too(bench, phone_drive, tmp_path):
+    """By ``imu/data`` alone."""
+    twin = digital_twin(phone_drive.twin)
+    twin.follower = None
+    save_twin(phone_drive.twin, tmp_path / "twin.yaml")
+    node = bench.make(PoseInjectorNode, twin=str(tmp_path / "twin.yaml"))
+    rows, drive, wanted = tap(node), phone_drive.drive, []
+    for ns, kind, i in zip(*(column.tolist() for column in schedule(drive)), strict=True):
+        t = ns / 1e9
+        if kind == 0:
+            update = twin.push_imu(
+                t, drive.imu.specific_force[i].tolist(), drive.imu.angular_rate[i].tolist()
+            )
+            if update is None:
+                continue
+            message = put_stamp(Imu(), t)
+            a, w = message.linear_acceleration, message.angular_velocity
+            (a.x, a.y, a.z), (w.x, w.y, w.z) = update.sample.force, update.sample.rate
+            node.inputs["imu/data"].deliver(message)
+            wanted.append(update.pose.x)
+        elif kind == 1:
+            twin.push_fix(
+                t, drive.fix.latitude[i], drive.fix.longitude[i], drive.fix.altitude[i], 0, 2.5, 2.5
+            )
+            message = put_stamp(NavSatFix(), t)
+            message.latitude, message.longitude = drive.fix.latitude[i], drive.fix.longitude[i]
+            message.altitude = drive.fix.altitude[i]
+            message.position_covariance_type = NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN
+            message.position_covariance[0] = message.position_covariance[4] = 6.25
+            node.inputs["fix"].deliver(message)
+        else:
+            twin.push_velocity(t, *drive.velocity.enu[i, :2].tolist())
+            node.inputs["vel"].deliver(velocity(t, *drive.velocity.enu[i, :2].tolist()))
+    assert twin.felt is not None and abs(twin.felt.offset) > 0.3
+    np.testing.assert_allclose([x for _, x, *_ in rows], wanted, atol=1e-6)
+    node.report()
+    assert "ahead of the receiver's" in node.health.values["felt place"]
