@@ -86,11 +86,12 @@ class Playback:
 
 @dataclass(frozen=True)
 class Played:
-    """How far a playback is: ``position`` and ``duration`` s, ``rounds`` done."""
+    """How far a playback is: ``position`` and ``duration`` s, ``rounds`` done, whether it is ``waiting`` to begin."""
 
     position: float
     duration: float
     rounds: int
+    waiting: bool = False
 
 
 @dataclass(frozen=True)
@@ -244,9 +245,8 @@ class Composed:
         pause = math.inf
         if self.player is not None:
             pause = self.player.play()
-            resting = self.player.paused or self.player.ended
             for node in self.nodes.values():
-                node.clock_rests = resting
+                node.clock_rests = self.player.resting
         if self.source is not None:
             self._step_live(self.source, most)
         elif not self._serve_ready() and pause > 0.0:
@@ -324,7 +324,7 @@ class Composed:
             failing=any(level == ERROR for level, _ in complaints),
             played=None
             if player is None
-            else Played(player.position, player.duration, player.loops - int(player.done)),
+            else Played(player.position, player.duration, player.loops, player.waiting),
             learning=None if self.learner is None else self.learner.condition(),
         )
 

@@ -36,7 +36,10 @@ from suspension_twin.nodes.twin_outputs import TwinOutputs
 from suspension_twin.pose.lock import PlanarState
 from suspension_twin_interfaces.srv import LoadTwin
 
-__all__ = ["SuspensionModelNode"]
+__all__ = ["WHOLE_GAP", "SuspensionModelNode"]
+
+#: Key of the gap over all driving in the diagnostics.
+WHOLE_GAP = "live gap over all driving, rms (m/s²)"
 
 #: The nodes whose low-pass has to be that of this one.
 FILTERING = ("imu_ingest", "pose_injector")
@@ -227,8 +230,8 @@ class SuspensionModelNode(TwinNode):
             self._find(f"low-pass of {name}", own is not None and other != own, text)
 
     def whole_gap(self) -> float:
-        """Rms of the gap in m/s² since the twin was loaded; NaN while nothing was simulated."""
-        return math.nan if self._follower is None else self._follower.gap.whole_rms
+        """The gap in m/s² over all driving on the road since the twin was loaded; NaN before."""
+        return math.nan if self._follower is None else self._follower.gap.driving_rms
 
     def gap_now(self) -> GapNow | None:
         """The live gap; None while the window holds fewer than two samples."""
@@ -246,8 +249,9 @@ class SuspensionModelNode(TwinNode):
         self.health.values[LOW_PASS] = low_pass_text(self.values)
         gap = self.gap_now()
         if gap is not None:
-            self.health.values["gap, rms (m/s²)"] = f"{gap.rms:.3f}"
-            self.health.values["gap, normalised"] = f"{gap.normalised:.2f}"
+            self.health.values["gap now, rms (m/s²)"] = f"{gap.rms:.3f}"
+            self.health.values["gap now, normalised"] = f"{gap.normalised:.2f}"
+            self.health.values[WHOLE_GAP] = f"{self.whole_gap():.3f}"
         self.show_findings([] if self._follower is None else self._follower.findings)
 
 

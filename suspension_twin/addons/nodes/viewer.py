@@ -35,6 +35,7 @@ from suspension_twin.inference.observation import road_of
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.messages import read_odometry
 from suspension_twin.nodes.parameters import TWIN, Param, Values, twin_of
+from suspension_twin.nodes.suspension_model import WHOLE_GAP
 from suspension_twin.nodes.topics import NS, Embedding
 from suspension_twin.vehicle.twin import Twin
 from suspension_twin_interfaces.msg import Gap
@@ -191,6 +192,8 @@ class ViewerNode(TwinNode):
             if name == "bag_player":
                 self.player.show(values)
                 continue
+            if WHOLE_GAP in values:
+                self.view.update("driven", float(values[WHOLE_GAP]))
             self._seen[name] = now
             self.view.health(NodeStatus(name, level, status.message, values))
         for name, seen in list(self._seen.items()):
@@ -244,6 +247,8 @@ class ViewerNode(TwinNode):
         self.view.update("motion", self._motion)
         self.recorder.flush(now)
         self.guide.lead(now)
+        if self.server.watched:
+            self.player.begin()
         self.player.forget(now - _GONE)
         parent = self.values["parent"]
         if parent and os.getppid() != parent:
