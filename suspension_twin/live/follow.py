@@ -20,7 +20,7 @@ from suspension_twin.pose.ekf import planar_acceleration
 from suspension_twin.pose.lock import PlanarMotion, PlanarState
 from suspension_twin.road.build import flat_road
 from suspension_twin.road.road import Road
-from suspension_twin.signals.attitude import Quaternion, quaternion, rpy_matrix
+from suspension_twin.signals.attitude import Quaternion, quaternion, quaternion_product, rpy_matrix
 from suspension_twin.signals.checks import Finding
 from suspension_twin.signals.filters import FilterSpec, LiveLowPass
 from suspension_twin.vehicle.twin import Twin
@@ -278,7 +278,7 @@ class Follower:
     def virtual_imu(self, at: Followed) -> VirtualImu:
         """The sensor of the twin, at the place of the real one."""
         force, rate = self._in_sensor(at.state.force), self._in_sensor(at.state.rate)
-        return VirtualImu(force, rate, _product(at.orientation, self._mounting))
+        return VirtualImu(force, rate, quaternion_product(at.orientation, self._mounting))
 
     def _in_sensor(self, vector: Floats) -> Vector:
         (x, y, z), (a, b, c) = vector.tolist(), self._to_sensor
@@ -302,17 +302,6 @@ class Follower:
             found += [Finding("warn", "off_road", text)] if off else []
         grown = gap_warning(self.gap.now(), self.settings.floor, self.settings.warn)
         return [*found, Finding("warn", "gap", grown)] if grown else found
-
-
-def _product(p: Quaternion, q: Quaternion) -> Quaternion:
-    px, py, pz, pw = p
-    qx, qy, qz, qw = q
-    return (
-        pw * qx + px * qw + py * qz - pz * qy,
-        pw * qy - px * qz + py * qw + pz * qx,
-        pw * qz + px * qy - py * qx + pz * qw,
-        pw * qw - px * qx - py * qy - pz * qz,
-    )
 
 
 class Pairing:

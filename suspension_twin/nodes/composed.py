@@ -229,6 +229,7 @@ class Composed:
         #: Called with what every sample gives and its stamp in ns.
         self.outlets = self.ingest.outlets
         self.outlets[:0] = [self.model.take, injector.take]
+        self.ingest.oriented.append(injector.others.on_orientation)
         for node in (self.ingest, injector, self.model):
             node.companions = (self.ingest, injector, self.model)
         if self._shared:

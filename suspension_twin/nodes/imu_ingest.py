@@ -16,7 +16,7 @@ from suspension_twin.errors import InputError
 from suspension_twin.inference.sensor_correction import SensorCorrection
 from suspension_twin.live.twin import Update, compile_stages, ingest_stage
 from suspension_twin.nodes.base import TwinNode
-from suspension_twin.nodes.messages import put_stamp
+from suspension_twin.nodes.messages import is_rotation, put_stamp
 from suspension_twin.nodes.parameters import (
     FILTER,
     LOW_PASS,
@@ -28,6 +28,7 @@ from suspension_twin.nodes.parameters import (
     twin_of,
 )
 from suspension_twin.nodes.topics import Embedding
+from suspension_twin.signals.attitude import quaternion, quaternion_product
 from suspension_twin.signals.imu import ImuSettings, StillLimits
 
 __all__ = ["ImuIngestNode"]
@@ -120,6 +121,8 @@ class ImuIngestNode(TwinNode):
         self._vertical_out = self.offer(AccelStamped, "imu/vertical_acceleration")
         #: Called with what every sample gives and its stamp in ns, the most urgent first.
         self.outlets: list[Callable[[Update, int], None]] = [self.publish]
+        #: Called with every sample that has an orientation, and the stamp in s.
+        self.oriented: list[Callable[[Imu, float], None]] = []
         self.start()
         self.listen(Imu, "imu/data_raw", self._on_imu)
 
@@ -131,6 +134,8 @@ class ImuIngestNode(TwinNode):
         """See the base class."""
         twin = twin_of(self.values)
         self._frame = None if twin is None else twin.imu.frame
+        x, y, z, w = (0.0, 0.0, 0.0, 1.0) if twin is None else quaternion(*twin.imu.rpy)
+        self._unmount = -x, -y, -z, w
         # a tilt that the twin simulates is expected in the measured signals
         turned = twin is not None and SensorCorrection.of_twin(twin).turn is not None
         self._silent = (*_COUNTED, *(("tilted",) if turned else ()))
@@ -150,11 +155,25 @@ class ImuIngestNode(TwinNode):
                 "imu/data_raw",
                 "message dropped: no linear_acceleration (linear_acceleration_covariance[0] is -1)",
             )
+        self._orient(message, ns)
         a, w = message.linear_acceleration, message.angular_velocity
         update = self.twin.push_imu(ns / 1e9, (a.x, a.y, a.z), (w.x, w.y, w.z))
         if update is not None:
             for take in self.outlets:
                 take(update, ns)
+
+    def _orient(self, message: Imu, ns: int) -> None:
+        """Give ``imu/data`` the sensor's orientation, as that of ``base_link``, where its covariance says that it has
+        one: REP-145 has zeros for an unknown covariance, -1 for no orientation."""
+        out, covariance = self._data, message.orientation_covariance
+        if not (covariance[0] >= 0.0 and covariance[8] > 0.0 and is_rotation(message.orientation)):
+            out.orientation_covariance[0] = -1.0
+            return
+        q, turned = message.orientation, out.orientation
+        turned.x, turned.y, turned.z, turned.w = quaternion_product((q.x, q.y, q.z, q.w), self._unmount)
+        out.orientation_covariance[:] = covariance
+        for take in self.oriented:
+            take(out, ns / 1e9)
 
     def publish(self, update: Update, ns: int) -> None:
         """Publish the filtered sample."""

@@ -16,7 +16,7 @@ from sensor_msgs.msg import Imu, NavSatFix
 from suspension_twin.errors import InputError
 from suspension_twin.live.twin import Update, compile_stages, delay_of, lock_stage
 from suspension_twin.nodes.base import TwinNode
-from suspension_twin.nodes.messages import fill_odometry, put_stamp, sigmas_of, yaw_of
+from suspension_twin.nodes.messages import fill_odometry, is_rotation, put_stamp, sigmas_of, yaw_of
 from suspension_twin.nodes.parameters import (
     FILTER,
     LOW_PASS,
@@ -27,6 +27,7 @@ from suspension_twin.nodes.parameters import (
     low_pass_text,
     twin_of,
 )
+from suspension_twin.nodes.pose_inputs import INPUTS, PoseInputs
 from suspension_twin.nodes.topics import Embedding
 from suspension_twin.pose.types import PoseSettings
 from suspension_twin.vehicle.twin import Datum
@@ -61,7 +62,7 @@ _SETTINGS = (
 
 
 class PoseInjectorNode(TwinNode):
-    """``fix``, ``vel``, ``heading`` and ``imu/data`` in; the locked planar pose out."""
+    """``fix``, ``vel``, ``heading`` (or poses of another program) and ``imu/data`` in; the locked planar pose out."""
 
     parameters = (
         TWIN,
@@ -92,6 +93,7 @@ class PoseInjectorNode(TwinNode):
             20000.0,
         ),
         *(Param(name, getattr(_DEFAULT, name), text, low, high) for name, text, low, high in _SETTINGS),
+        *INPUTS,
     )
 
     def __init__(self, embedding: Embedding | None = None) -> None:
@@ -102,34 +104,40 @@ class PoseInjectorNode(TwinNode):
         for free in (14, 21, 28):  # z, roll and pitch are not estimated here
             self._odom.pose.covariance[free] = 1.0e6
         self._out = self.offer(Odometry, "twin/odom")
-        self.start()
         self.listen(Imu, "imu/data", self._on_imu)
         self.listen(NavSatFix, "fix", self._on_fix)
         self.listen(TwistStamped, "vel", self._on_velocity)
         self.listen(QuaternionStamped, "heading", self._on_heading, expected=False)
+        self.others = PoseInputs(self, lambda: self._lock)
+        self.start()
         self.create_service(SetDatum, "~/set_datum", self._set_datum)
 
     def check(self, values: Values) -> None:
         """See the base class."""
         twin_of(values)
         _settings(values)
+        if len(values["origin"]) != 3:
+            raise InputError("origin", f"must be x and y in m and a yaw in rad, is {values['origin']}")
 
     def start(self) -> None:
         """See the base class."""
         twin = twin_of(self.values)
         self._frame = None if twin is None else twin.gps.frame
+        self.others.configure(twin)
         self._lock = self.twin.lock = lock_stage(twin, _settings(self.values), _datum(self.values))
         self._counted.clear()
 
     def reset(self) -> None:
         """See the base class. A datum that was set stays."""
         self._lock.reset()
+        self.others.reset()
         self._counted.clear()
 
     def _on_imu(self, message: Imu, ns: int) -> None:
         a, w = message.linear_acceleration, message.angular_velocity
         if not math.isfinite(a.x + a.y + a.z + w.x + w.y + w.z):
             raise InputError("imu/data", "message dropped: a value is not finite")
+        self.others.on_orientation(message, ns / 1e9)
         pose = self._lock.on_imu(ns / 1e9, (a.x, a.y, a.z), (w.x, w.y, w.z))
         self.publish(Update(None, pose), ns)
 
@@ -151,18 +159,19 @@ class PoseInjectorNode(TwinNode):
         # Not set (-2 in Jazzy) is not the same as no fix (-1): the position is there.
         status = 0 if message.status.status < -1 else message.status.status
         place = message.latitude, message.longitude, message.altitude
-        if not self.twin.is_held(ns / 1e9, *place[:2], status):
+        held = self.twin.is_held(ns / 1e9, *place[:2], status)
+        if not held and self.others.allows("position", "fix", ns / 1e9):
             self._lock.on_fix(ns / 1e9, *place, status, *sigmas_of(message))
 
     def _on_velocity(self, message: TwistStamped, ns: int) -> None:
-        self._lock.on_velocity(ns / 1e9, message.twist.linear.x, message.twist.linear.y)
+        if self.others.allows("velocity", "vel", ns / 1e9):
+            self._lock.on_velocity(ns / 1e9, message.twist.linear.x, message.twist.linear.y)
 
     def _on_heading(self, message: QuaternionStamped, ns: int) -> None:
-        q = message.quaternion
-        norm = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w
-        if not abs(norm - 1.0) < 0.02:
+        if not is_rotation(message.quaternion):
             raise InputError("heading", "message dropped: the quaternion is not normalised")
-        self._lock.on_heading(ns / 1e9, yaw_of(q))
+        if self.others.allows("heading", "heading", ns / 1e9):
+            self._lock.on_heading(ns / 1e9, yaw_of(message.quaternion))
 
     def _set_datum(self, request: SetDatum.Request, response: SetDatum.Response) -> SetDatum.Response:
         try:
@@ -188,6 +197,7 @@ class PoseInjectorNode(TwinNode):
         self.note_counts(lock.counts, _COUNTED)
         values["latency of fixes (s)"] = f"{lock.latency:.3f}"
         values["age of last fix (s)"] = f"{lock.fix_age:.2f}"
+        self.others.report(values)
         values["yaw known"] = str(lock.aligned)
         values["vehicle standing"] = str(lock.standing)
         datum, shown = lock.datum, "not known"

@@ -361,6 +361,13 @@ class PoseLock:
             self._map = LocalMap(Datum(latitude=latitude, longitude=longitude, altitude=height))
         height = altitude if math.isfinite(altitude) else self._map.datum.altitude
         east, north, _ = (float(c) for c in self._map.to_map(latitude, longitude, height))
+        self.on_position(t, east, north, sigma)
+
+    def on_position(self, t: float, east: float, north: float, sigma: float) -> None:
+        """One position of the antenna in ``map`` in m, with a standard deviation of ``sigma`` m."""
+        if not all(map(math.isfinite, (t, east, north, sigma))):
+            self.counts["unusable"] += 1
+            return
         if self._history.head >= 0:
             age = self._now() - t
             self._fix_latency = (
@@ -377,12 +384,12 @@ class PoseLock:
             return
         self._arrive(t, ekf.VELOCITY, (east, north, self._noise.sigma))
 
-    def on_heading(self, t: float, yaw: float) -> None:
-        """One heading: yaw of ``base_link`` in ``map`` in rad."""
+    def on_heading(self, t: float, yaw: float, sigma: float = 0.0) -> None:
+        """One heading: yaw of ``base_link`` in ``map`` in rad, with its standard deviation, 0 where it is not known."""
         if not (math.isfinite(t) and math.isfinite(yaw)):
             self.counts["unusable"] += 1
             return
-        self._arrive(t, ekf.HEADING, (yaw, 0.0, self.settings.heading_sigma))
+        self._arrive(t, ekf.HEADING, (yaw, 0.0, sigma or self.settings.heading_sigma))
 
     # -- what it does -------------------------------------------------------------------------
 

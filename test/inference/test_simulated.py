@@ -104,7 +104,13 @@ def test_the_gap_can_be_had_from_the_two_recordings(case: Path, written: Path) -
         vertical = np.interp(grid, t[order], turn.apply(xyz(rows, "linear_acceleration"))[order, 2])
         sides.append(sosfiltfilt(butter(2, 20.0, fs=100.0, output="sos"), vertical))
     pose = messages(written / "simulated")["/twin/pose"]
-    t, x = (np.array(v) for v in zip(*((s + 1e-9 * n, m.pose.position.x) for (s, n), m in zip(stamps(pose), pose, strict=True)), strict=True))
+    t, x = (
+        np.array(v)
+        for v in zip(
+            *((s + 1e-9 * n, m.pose.position.x) for (s, n), m in zip(stamps(pose), pose, strict=True)),
+            strict=True,
+        )
+    )
     driving = np.abs(np.gradient(np.interp(grid, t, x), 0.01)) > 0.1
     driving[:50] = driving[-50:] = False
     by_hand = float(np.std((sides[0] - sides[1])[driving]))

@@ -91,7 +91,8 @@ def test_the_live_gap_is_the_offline_one_once_settled(case):
     """Without the first seconds, for which live there was no heading; errors of the live pose of some millimetres are
     most of what is left, and the rougher the road the more (2.3 % on ``crg_road``)."""
     assert case.gap.driving_rms == pytest.approx(
-        case.offline.gap_from(case.gap.driving_since).rms, rel=0.025 if case.offline.name == "crg_road" else 0.02
+        case.offline.gap_from(case.gap.driving_since).rms,
+        rel=0.025 if case.offline.name == "crg_road" else 0.02,
     )
 
 

@@ -341,7 +341,9 @@ def test_the_status_line_fits_80_columns():
         )
         first, second = line(shown).plain.split("\n")
         assert len(first) <= 80 and "imu 1600" in first and "twin 1600" in first
-        assert (gap is None or f"gap now {gap:.2f} m/s²" in first) and second.startswith("imu_ingest: too loud")
+        assert (gap is None or f"gap now {gap:.2f} m/s²" in first) and second.startswith(
+            "imu_ingest: too loud"
+        )
 
 
 @pytest.mark.parametrize("node", NODES)
