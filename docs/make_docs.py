@@ -31,7 +31,7 @@ PICTURES = {"bump_time": "bump.png", "characteristics": "characteristics.png", "
 #: What each node does, in a few words.
 DOES = {
     "imu_ingest": "axes, biases and units of the IMU; low-pass",
-    "pose_injector": "GPS and gyroscope to a smooth pose at the IMU's rate",
+    "pose_injector": "GPS, or another program's pose, and gyroscope to a smooth pose at the IMU's rate",
     "suspension_model": "the twin along that pose over the road; the gap",
     "calibrator": "calibration and diagnosis of recorded drives",
     "source": "live phones, receivers and IMUs ([sources](sources.md)); only where it is given sources",
@@ -52,6 +52,13 @@ CARRIES = {
     ),
     "vel": ("any", "`twist.linear` m/s: x east, y north, z up"),
     "heading": ("any", "optional; yaw of the vehicle from east, counter-clockwise"),
+    "odom": (
+        "`map`, child `base_link` or a sensor's",
+        "in place of `fix`, `vel` and `heading`: pose m, speeds m/s in the child's axes; covariances",
+    ),
+    "pose": ("`map`", "in place of `fix`: `base_link` in a game engine or a motion capture, m"),
+    "transform": ("`map`, child `base_link` or a sensor's", "the same as a transform"),
+    "fix_velocity": ("any", "in place of `vel`: m/s, x east, y north; covariance"),
     "twin/odom": (
         "`map`, child `base_link`",
         "pose m and speed m/s, locked to the vehicle in x, y and yaw; covariance",

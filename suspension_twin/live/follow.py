@@ -221,10 +221,9 @@ class Follower:
             self._forget()
             return Followed(pose, (ax, ay), state, vertical, math.nan, "diverged: restarted")
         filtered = self._low_pass.push(t, state.vertical_acceleration - self._standing_vertical)
-        compared = [
-            low_pass.push(t, x) for low_pass, x in zip(self._again, (vertical, filtered), strict=True)
-        ]
-        self.gap.push(t, *compared, speed, on_road=self._on_road(t, pose))
+        again, once_more = self._again
+        gap = again.push(t, vertical), once_more.push(t, filtered)
+        self.gap.push(t, gap[0], gap[1], speed, self._on_road(t, pose))
         if pose.aligned and self.gap.settled:
             ahead, left, _ = self.twin.imu.position
             c, s = math.cos(pose.yaw), math.sin(pose.yaw)
