@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CHANNELS",
-    "STANDING_SPEED",
     "Comparison",
     "Gap",
     "channel_unit",
@@ -36,10 +35,6 @@ __all__ = [
     "pooled_gap",
     "write_gap",
 ]
-
-#: Speed in m/s below which a vehicle counts as standing: what receivers at rest give, with a margin. The gap is that
-#: of driving: a vehicle that waits at a light has none.
-STANDING_SPEED = 0.1
 
 
 @dataclass(frozen=True)

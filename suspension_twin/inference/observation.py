@@ -21,7 +21,7 @@ from pydantic import BaseModel
 from suspension_twin.arrays import Floats, interpolated
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
-from suspension_twin.inference.gap import CHANNELS, STANDING_SPEED, Gap, main_channel, measure_gap
+from suspension_twin.inference.gap import CHANNELS, Gap, main_channel, measure_gap
 from suspension_twin.inference.nuisance import OF_A_DRIVE, OF_PLANAR_MOTION, NuisancePriors
 from suspension_twin.inference.off_road import Ground, OffRoad, off_road
 from suspension_twin.inference.sensor_correction import (
@@ -41,7 +41,7 @@ from suspension_twin.pose.imu_gnss_consistency import clock_offset_beyond, findi
 from suspension_twin.pose.planar_denoising import denoised_motion
 from suspension_twin.pose.satellites import satellite_motion
 from suspension_twin.pose.smoothed import MAX_MEAN_SLOPE, locked_trajectory, mean_tilt
-from suspension_twin.pose.types import Trajectory
+from suspension_twin.pose.types import STANDING_SPEED, Trajectory
 from suspension_twin.road.crg import warning_of
 from suspension_twin.road.road import Outside, Road
 from suspension_twin.signals.attitude import level_rpy, rpy_matrix

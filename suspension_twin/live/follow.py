@@ -11,13 +11,13 @@ from typing import NamedTuple
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.inference.gap import STANDING_SPEED
 from suspension_twin.inference.observation import road_of
 from suspension_twin.live.gap import CalibrationGap, GapTiles, RunningGap, gap_warning
 from suspension_twin.models.live import LiveState, live_twin
 from suspension_twin.models.types import PoseSample
 from suspension_twin.pose.ekf import planar_acceleration
 from suspension_twin.pose.lock import PlanarMotion, PlanarState
+from suspension_twin.pose.types import STANDING_SPEED
 from suspension_twin.road.build import flat_road
 from suspension_twin.road.road import Road
 from suspension_twin.signals.attitude import Quaternion, quaternion, quaternion_product, rpy_matrix

@@ -16,7 +16,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.calibration.output import details_path
 from suspension_twin.errors import InputError
 from suspension_twin.files import read_yaml, reading
-from suspension_twin.inference.gap import STANDING_SPEED
+from suspension_twin.pose.types import STANDING_SPEED
 
 __all__ = ["CalibrationGap", "GapNow", "GapTile", "GapTiles", "RunningGap", "calibration_gap", "gap_warning"]
 

@@ -158,6 +158,8 @@ class TwinNode(Node):  # type: ignore[misc]
     parameters: tuple[Param, ...] = ()
     #: Whether rclpy's events executor serves the node in a process of its own.
     events = False
+    #: Whether it works; what comes otherwise is dropped.
+    active = True
 
     @classmethod
     def main(cls, args: list[str] | None = None) -> int:
@@ -182,7 +184,7 @@ class TwinNode(Node):  # type: ignore[misc]
         self.health = Health(self.get_fully_qualified_name().lstrip("/"), time.monotonic)
         self._shown: set[str] = set()
         self._counted: dict[str, int] = {}
-        self._set = ParameterSet(self, (*self.common, *self.parameters), self.check, self._on_change)
+        self._set = ParameterSet(self, (*self.common, *self.parameters), self.checked, self._on_change)
         self._read_limits()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         #: Called with every diagnostics message, beside the topic.
@@ -212,6 +214,13 @@ class TwinNode(Node):  # type: ignore[misc]
 
     def check(self, values: Values) -> None:
         """Raise InputError for ``values`` that cannot be used together."""
+
+    def checked(self, values: Values) -> None:
+        """:meth:`check` values that are to be taken."""
+        self.check(values)
+
+    def bring_up(self) -> None:
+        """Begin to work, once the node is whole."""
 
     def changed(self, names: AbstractSet[str]) -> None:
         """The parameters ``names`` have new values: with one of the node's own it starts anew."""

@@ -216,6 +216,8 @@ class Composed:
                 self.executor.add_node(self.player)
             for topic, sender, receiver in links:
                 senders[sender].outputs[topic].links.append(self.nodes[receiver].inputs[topic].deliver)
+            for node in self.nodes.values():
+                node.bring_up()
         except BaseException:
             self.close()
             raise

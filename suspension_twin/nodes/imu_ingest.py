@@ -15,7 +15,7 @@ from sensor_msgs.msg import Imu
 from suspension_twin.errors import InputError
 from suspension_twin.inference.sensor_correction import SensorCorrection
 from suspension_twin.live.twin import Update, compile_stages, ingest_stage
-from suspension_twin.nodes.base import TwinNode
+from suspension_twin.nodes.lifecycle import ManagedNode
 from suspension_twin.nodes.messages import is_rotation, put_stamp
 from suspension_twin.nodes.parameters import (
     FILTER,
@@ -46,7 +46,7 @@ _COUNTED = {
 }
 
 
-class ImuIngestNode(TwinNode):
+class ImuIngestNode(ManagedNode):
     """``imu/data_raw`` in; bias-free, filtered signals in ``base_link`` axes out."""
 
     parameters = (
@@ -123,7 +123,12 @@ class ImuIngestNode(TwinNode):
         self.outlets: list[Callable[[Update, int], None]] = [self.publish]
         #: Called with every sample that has an orientation, and the stamp in s.
         self.oriented: list[Callable[[Imu, float], None]] = []
-        self.start()
+        self._frame: str | None = None
+        self._silent: tuple[str, ...] = ()
+        self._unmount = 0.0, 0.0, 0.0, 1.0
+        self._ingest = ingest_stage(None, ImuSettings())
+        if self.active:
+            self.start()
         self.listen(Imu, "imu/data_raw", self._on_imu)
 
     def check(self, values: Values) -> None:
@@ -141,6 +146,10 @@ class ImuIngestNode(TwinNode):
         self._silent = (*_COUNTED, *(("tilted",) if turned else ()))
         self._ingest = self.twin.ingest = ingest_stage(twin, _settings(self.values))
         self._counted.clear()
+
+    def stop(self) -> None:
+        """See the base class."""
+        self.twin.ingest = None
 
     def reset(self) -> None:
         """See the base class."""
@@ -195,6 +204,7 @@ class ImuIngestNode(TwinNode):
 
     def report(self) -> None:
         """See the base class."""
+        super().report()
         ingest, values = self._ingest, self.health.values
         values[LOW_PASS] = low_pass_text(self.values)
         self.show_findings(f for f in ingest.findings if f.code not in self._silent)

@@ -15,7 +15,7 @@ from sensor_msgs.msg import Imu, NavSatFix
 
 from suspension_twin.errors import InputError
 from suspension_twin.live.twin import Update, compile_stages, delay_of, lock_stage
-from suspension_twin.nodes.base import TwinNode
+from suspension_twin.nodes.lifecycle import ManagedNode
 from suspension_twin.nodes.messages import fill_odometry, is_rotation, put_stamp, sigmas_of, yaw_of
 from suspension_twin.nodes.parameters import (
     FILTER,
@@ -61,7 +61,7 @@ _SETTINGS = (
 )
 
 
-class PoseInjectorNode(TwinNode):
+class PoseInjectorNode(ManagedNode):
     """``fix``, ``vel``, ``heading`` (or poses of another program) and ``imu/data`` in; the locked planar pose out."""
 
     parameters = (
@@ -109,7 +109,11 @@ class PoseInjectorNode(TwinNode):
         self.listen(TwistStamped, "vel", self._on_velocity)
         self.listen(QuaternionStamped, "heading", self._on_heading, expected=False)
         self.others = PoseInputs(self, lambda: self._lock)
-        self.start()
+        self._frame: str | None = None
+        self._lock = lock_stage(None, PoseSettings(), None)
+        self.others.configure(None)
+        if self.active:
+            self.start()
         self.create_service(SetDatum, "~/set_datum", self._set_datum)
 
     def check(self, values: Values) -> None:
@@ -127,6 +131,10 @@ class PoseInjectorNode(TwinNode):
         self._lock = self.twin.lock = lock_stage(twin, _settings(self.values), _datum(self.values))
         self._counted.clear()
 
+    def stop(self) -> None:
+        """See the base class."""
+        self.twin.lock = None
+
     def reset(self) -> None:
         """See the base class. A datum that was set stays."""
         self._lock.reset()
@@ -143,8 +151,9 @@ class PoseInjectorNode(TwinNode):
 
     def take(self, update: Update, ns: int) -> None:
         """Publish what the twin makes of a sample that has gone through all stages in this process."""
-        self.inputs["imu/data"].arrived(ns)
-        self.publish(update, ns)
+        if self.active:
+            self.inputs["imu/data"].arrived(ns)
+            self.publish(update, ns)
 
     def publish(self, update: Update, ns: int) -> None:
         """Publish the locked pose."""
@@ -174,6 +183,9 @@ class PoseInjectorNode(TwinNode):
             self._lock.on_heading(ns / 1e9, yaw_of(message.quaternion))
 
     def _set_datum(self, request: SetDatum.Request, response: SetDatum.Response) -> SetDatum.Response:
+        if not self.active:
+            response.success, response.message = False, "the node is not active"
+            return response
         try:
             datum = Datum(latitude=request.latitude, longitude=request.longitude, altitude=request.altitude)
         except ValidationError as error:
@@ -191,6 +203,7 @@ class PoseInjectorNode(TwinNode):
 
     def report(self) -> None:
         """See the base class."""
+        super().report()
         lock, values = self._lock, self.health.values
         values[LOW_PASS] = low_pass_text(self.values)
         self.show_findings(f for f in lock.findings if f.code not in (*_COUNTED, "no_imu"))

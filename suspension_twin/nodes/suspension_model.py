@@ -19,7 +19,7 @@ from suspension_twin.errors import InputError
 from suspension_twin.live.follow import BodyAcceleration, Follower, FollowSettings, Pairing
 from suspension_twin.live.gap import GapNow, calibration_gap
 from suspension_twin.live.twin import Update, compile_stages
-from suspension_twin.nodes.base import TwinNode
+from suspension_twin.nodes.lifecycle import ManagedNode
 from suspension_twin.nodes.messages import read_odometry
 from suspension_twin.nodes.parameters import (
     FILTER,
@@ -34,6 +34,7 @@ from suspension_twin.nodes.parameters import (
 from suspension_twin.nodes.topics import ERROR, OK, WARN, Embedding
 from suspension_twin.nodes.twin_outputs import TwinOutputs
 from suspension_twin.pose.lock import PlanarState
+from suspension_twin.vehicle.twin import Twin
 from suspension_twin_interfaces.srv import LoadTwin
 
 __all__ = ["WHOLE_GAP", "SuspensionModelNode"]
@@ -41,6 +42,7 @@ __all__ = ["WHOLE_GAP", "SuspensionModelNode"]
 #: Key of the gap over all driving in the diagnostics.
 WHOLE_GAP = "live gap over all driving, rms (m/s²)"
 
+NO_TWIN = "no twin loaded: set the parameter twin or call ~/load_twin"
 #: The nodes whose low-pass has to be that of this one.
 FILTERING = ("imu_ingest", "pose_injector")
 _HARDEST = 1e5  # m/s², more than any vehicle's body
@@ -73,7 +75,7 @@ GAP = (
 )
 
 
-class SuspensionModelNode(TwinNode):
+class SuspensionModelNode(ManagedNode):
     """``twin/odom`` and ``imu/vertical_acceleration`` in; the twin's motion, signals and gap out."""
 
     parameters = (
@@ -103,12 +105,16 @@ class SuspensionModelNode(TwinNode):
         self._prepared: Follower | None = None
         self._programs: tuple[Path, ...] | None = None  # any, while the node is started
         super().__init__("suspension_model", embedding)
-        program = None if self._prepared is None else self._prepared.twin.program
+        named = _named(self.values)
+        program = None if named is None else named.program
         self._programs = () if program is None else (program,)
         compile_stages()
         self._pairing = Pairing()
         self._out = TwinOutputs(self, self.values["map_frame"], self.values["base_frame"])
-        self.start()
+        self._follower: Follower | None = None
+        self._out.configure(None, self.values["visual_rate"], self.values["gap.rate"])
+        if self.active:
+            self.start()
         self.listen(Odometry, "twin/odom", self._on_odom)
         self.listen(AccelStamped, "imu/vertical_acceleration", self._on_vertical)
         # All twins write to this topic: of many in one process, each gets the status of its own nodes alone.
@@ -135,14 +141,21 @@ class SuspensionModelNode(TwinNode):
         follower = self._follower = self.twin.follower = self._prepared
         self._out.configure(follower, values["visual_rate"], values["gap.rate"])
         if follower is None:
-            text = "no twin loaded: set the parameter twin or call ~/load_twin"
             if "no twin" not in self.health.findings:
-                self.say(WARN, text)
-            self.health.findings["no twin"] = WARN, text
+                self.say(WARN, NO_TWIN)
+            self.health.findings["no twin"] = WARN, NO_TWIN
         else:
             follower.configure(_settings(values))
             self.health.findings.pop("no twin", None)
         self.reset()
+
+    def lacks(self) -> str:
+        """See the base class."""
+        return "" if self._prepared else NO_TWIN
+
+    def stop(self) -> None:
+        """See the base class."""
+        self.twin.follower = self._follower = None
 
     def reset(self) -> None:
         """See the base class: the twin is back in static equilibrium."""
@@ -172,6 +185,8 @@ class SuspensionModelNode(TwinNode):
 
     def take(self, update: Update, ns: int) -> None:
         """Publish what the twin makes of a sample that has gone through all stages in this process."""
+        if not self.active:
+            return
         self.inputs["imu/vertical_acceleration"].arrived(ns)
         if update.pose is not None:
             self.inputs["twin/odom"].arrived(ns)
@@ -239,6 +254,7 @@ class SuspensionModelNode(TwinNode):
 
     def report(self) -> None:
         """See the base class."""
+        super().report()
         lost = self._pairing.lost
         self._pairing.lost = 0
         if self._follower is not None:
@@ -253,6 +269,14 @@ class SuspensionModelNode(TwinNode):
             self.health.values["gap now, normalised"] = f"{gap.normalised:.2f}"
             self.health.values[WHOLE_GAP] = f"{self.whole_gap():.3f}"
         self.show_findings([] if self._follower is None else self._follower.findings)
+
+
+def _named(values: Values) -> Twin | None:
+    """The twin that was named when the node was started; None where it cannot be read, which is said later."""
+    try:
+        return twin_of(values)
+    except InputError:
+        return None
 
 
 def _settings(values: Values) -> FollowSettings:

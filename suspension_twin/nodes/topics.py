@@ -256,6 +256,8 @@ class Input:
     def deliver(self, message: Message) -> None:
         """Call the handler with ``message`` and its stamp in ns; never raises because of a message."""
         node, topic = self._node, self.state.topic
+        if not node.active:
+            return
         self.state.received += 1
         self._outbox.enter()
         try:

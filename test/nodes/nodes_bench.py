@@ -40,7 +40,9 @@ class Bench:
     def make(self, kind: Callable[..., TwinNode], *args: Any, namespace: str = "", **parameters: Any) -> Any:
         """A node with these parameters (``__`` for a dot)."""
         given = tuple(Parameter(k.replace("__", "."), value=v) for k, v in parameters.items())
-        return self.add(kind(Embedding(self.context, namespace, given), *args))
+        node = self.add(kind(Embedding(self.context, namespace, given), *args))
+        node.bring_up()
+        return node
 
     def until(
         self, condition: Callable[[], Any], what: str | Callable[[], str] = "", seconds: float = 20.0
