@@ -282,7 +282,9 @@ def parameters() -> str:
     from suspension_twin.nodes.base import COMMON
 
     text, classes = "", _node_classes()
-    groups = {"every node": COMMON} | {name: kind.parameters for name, kind in classes.items()}
+    groups = {"every node": COMMON} | {
+        name: (*kind.common[len(COMMON) :], *kind.parameters) for name, kind in classes.items()
+    }
     for name, declared in groups.items():
         rows = []
         for p in declared:

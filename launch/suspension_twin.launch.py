@@ -67,7 +67,7 @@ def generate_launch_description() -> LaunchDescription:
             executable=name,
             name=name,
             namespace=LaunchConfiguration("namespace"),
-            parameters=[*parameters, {"autostart": autostart}],
+            parameters=[parameters[0], {**parameters[1], "autostart": autostart}],
             output="screen",
         )
         for name in FOUR

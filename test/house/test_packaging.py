@@ -280,7 +280,15 @@ def test_the_launch_file_makes_the_nodes(repository: Path, monkeypatch: pytest.M
     entities = launch["generate_launch_description"]().arguments[0]
 
     arguments = {e.arguments[0]: e.named for e in entities if isinstance(e, made["DeclareLaunchArgument"])}
-    assert set(arguments) == {"twin", "params", "use_sim_time", "namespace", "sources", "learn_road"}
+    assert set(arguments) == {
+        "twin",
+        "params",
+        "use_sim_time",
+        "namespace",
+        "autostart",
+        "sources",
+        "learn_road",
+    }
     assert all(a["description"] for a in arguments.values())
     assert "default_value" not in arguments["twin"]
     assert Path(arguments["params"]["default_value"]).is_file()
@@ -293,8 +301,8 @@ def test_the_launch_file_makes_the_nodes(repository: Path, monkeypatch: pytest.M
         file, values = node["parameters"]
         assert file.arguments == ("params",)
         types = {name: value.named["value_type"] for name, value in values.items()}
-        more = {"source": {"sources": str}, "road_learner": {"out": str}}.get(node["name"], {})
-        assert types == {"twin": str, "use_sim_time": bool} | more
+        more = {"source": {"sources": str}, "road_learner": {"out": str}}.get(node["name"])
+        assert types == {"twin": str, "use_sim_time": bool} | (more or {"autostart": bool})
         assert ("condition" in node) == bool(more)
 
 
