@@ -7,6 +7,7 @@ goes through them here.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from geometry_msgs.msg import AccelStamped
@@ -27,12 +28,16 @@ from suspension_twin.nodes.parameters import (
     low_pass_text,
     twin_of,
 )
-from suspension_twin.nodes.topics import Embedding
+from suspension_twin.nodes.topics import OK, STALE, WARN, Embedding
 from suspension_twin.signals.attitude import quaternion, quaternion_product
 from suspension_twin.signals.imu import ImuSettings, StillLimits
 
 __all__ = ["ImuIngestNode"]
 
+#: Hz, the nominal rates of an IMU.
+_LEAST, _MOST = 50.0, 1600.0
+#: Mean deviation of the stamps, as a share of their interval, from which single samples change places.
+_JITTER = 0.5
 _DEFAULT = ImuSettings()
 _STILL = StillLimits()
 #: Counters of the ingest that are reported while they grow.
@@ -209,6 +214,17 @@ class ImuIngestNode(ManagedNode):
         values[LOW_PASS] = low_pass_text(self.values)
         self.show_findings(f for f in ingest.findings if f.code not in self._silent)
         self.note_counts(ingest.counts, _COUNTED)
+        raw, rate = self.inputs["imu/data_raw"].state, ingest.rate or math.nan
+        usual, steady = _LEAST <= rate <= _MOST, raw.jitter <= _JITTER * raw.interval
+        level = STALE if math.isnan(rate) else OK if usual else WARN
+        text = (
+            "not known yet"
+            if math.isnan(rate)
+            else f"{rate:.1f} Hz" + ("" if usual else ", 50 to 1600 are usual")
+        )
+        self.health.thing("rate", level, text, raw.frame, rate_Hz=rate)
+        text = f"stamps lie {1e3 * raw.jitter:.2g} ms from even ones"
+        self.health.thing("stamp jitter", OK if steady else WARN, text, raw.frame, jitter_ms=1e3 * raw.jitter)
         values["sample rate (Hz)"] = f"{ingest.rate:.2f}" if ingest.rate else "not known yet"
         values["vehicle standing"] = str(ingest.standing)
         values["IMU samples"] = str(ingest.counts["samples"])

@@ -28,7 +28,8 @@ from suspension_twin.nodes.parameters import (
     twin_of,
 )
 from suspension_twin.nodes.pose_inputs import INPUTS, PoseInputs
-from suspension_twin.nodes.topics import Embedding
+from suspension_twin.nodes.topics import OK, STALE, WARN, Embedding
+from suspension_twin.pose.lock import LATE
 from suspension_twin.pose.types import PoseSettings
 from suspension_twin.vehicle.twin import Datum
 from suspension_twin_interfaces.srv import SetDatum
@@ -217,6 +218,13 @@ class PoseInjectorNode(ManagedNode):
         if datum is not None:
             shown = f"{datum.latitude:.8f}° {datum.longitude:.8f}° {datum.altitude:.3f} m"
         values["datum"] = shown
+        level = STALE if math.isnan(lock.latency) else OK if lock.latency <= LATE else WARN
+        text = (
+            "no position yet" if level == STALE else f"positions come {lock.latency:.3f} s after their stamps"
+        )
+        frame = self.inputs["fix"].state.frame
+        self.health.thing("latency", level, text, frame, latency_s=lock.latency, age_s=lock.fix_age)
+        self.health.thing("datum", OK if datum is not None else STALE, shown)
 
 
 def _settings(values: Values) -> PoseSettings:

@@ -17,7 +17,7 @@ from std_srvs.srv import Trigger
 
 from suspension_twin.errors import InputError
 from suspension_twin.live.follow import BodyAcceleration, Follower, FollowSettings, Pairing
-from suspension_twin.live.gap import GapNow, calibration_gap
+from suspension_twin.live.gap import GapNow, calibration_gap, gap_warning
 from suspension_twin.live.twin import Update, compile_stages
 from suspension_twin.nodes.lifecycle import ManagedNode
 from suspension_twin.nodes.messages import read_odometry
@@ -31,7 +31,7 @@ from suspension_twin.nodes.parameters import (
     low_pass_text,
     twin_of,
 )
-from suspension_twin.nodes.topics import ERROR, OK, WARN, Embedding
+from suspension_twin.nodes.topics import ERROR, OK, STALE, WARN, Embedding
 from suspension_twin.nodes.twin_outputs import TwinOutputs
 from suspension_twin.pose.lock import PlanarState
 from suspension_twin.vehicle.twin import Twin
@@ -45,6 +45,8 @@ WHOLE_GAP = "live gap over all driving, rms (m/s²)"
 NO_TWIN = "no twin loaded: set the parameter twin or call ~/load_twin"
 #: The nodes whose low-pass has to be that of this one.
 FILTERING = ("imu_ingest", "pose_injector")
+#: Times the noise at standstill below which the gap says nothing of the suspension.
+_EXCITED = 3.0
 _HARDEST = 1e5  # m/s², more than any vehicle's body
 GAP = (
     Param("gap.window", 10.0, "Sliding window of the live gap in s.", 0.5, 600.0),
@@ -268,7 +270,23 @@ class SuspensionModelNode(ManagedNode):
             self.health.values["gap now, rms (m/s²)"] = f"{gap.rms:.3f}"
             self.health.values["gap now, normalised"] = f"{gap.normalised:.2f}"
             self.health.values[WHOLE_GAP] = f"{self.whole_gap():.3f}"
+        self._show_gap(gap)
         self.show_findings([] if self._follower is None else self._follower.findings)
+
+    def _show_gap(self, gap: GapNow | None) -> None:
+        """The gap and what excites the suspension, each with its own status."""
+        show = self.health.thing
+        if gap is None or self._follower is None:
+            for name in ("gap", "excitation"):
+                show(name, STALE, "nothing compared yet")
+            return
+        settings = self._follower.settings
+        grown = gap_warning(gap, settings.floor, settings.warn)
+        numbers = {"now": gap.rms, "over_all_driving": self.whole_gap(), "normalised": gap.normalised}
+        show("gap", WARN if grown else OK, grown or f"{gap} in the last {settings.window:g} s", **numbers)
+        quiet = gap.measured_rms < _EXCITED * gap.noise_rms
+        text = "hardly any: standing, or a smooth road" if quiet else f"{gap.measured_rms:.2f} m/s² measured"
+        show("excitation", OK, text, measured=gap.measured_rms, noise=gap.noise_rms)
 
 
 def _named(values: Values) -> Twin | None:

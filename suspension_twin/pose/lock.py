@@ -131,6 +131,7 @@ class VelocityNoise:
             self.sigma = min(max(sigma, self._least), _LARGEST * self._least)
 
 
+LATE = 0.5  # s from its stamp to its arrival, from which a fix is late
 AHEAD = 5.0  # s that a fix may be ahead of the IMU and still wait for it
 PAUSE = 60.0  # s after which nothing is left of the pose
 MAX_FORCE, MAX_TURN = 2000.0, 200.0  # m/s² and rad/s that no sensor of a vehicle sends
@@ -285,7 +286,7 @@ class PoseLock:
         ):
             if self.counts[count]:
                 found.append(Finding("warn", code, f"{self.counts[count]} {text}"))
-        if self._fix_latency > 0.5:
+        if self._fix_latency > LATE:
             found.append(
                 Finding("warn", "latency", f"fixes come {self._fix_latency:.2f} s after their stamps")
             )

@@ -32,7 +32,7 @@ from suspension_twin.addons.view.live import LiveView, NodeStatus, advice
 from suspension_twin.addons.view.server import Requests, Server
 from suspension_twin.errors import InputError, SuspensionTwinError
 from suspension_twin.inference.observation import road_of
-from suspension_twin.nodes.base import TwinNode
+from suspension_twin.nodes.base import HARDWARE, TwinNode
 from suspension_twin.nodes.messages import read_odometry
 from suspension_twin.nodes.parameters import TWIN, Param, Values, twin_of
 from suspension_twin.nodes.suspension_model import WHOLE_GAP
@@ -185,7 +185,7 @@ class ViewerNode(TwinNode):
         own = self.get_namespace().strip("/")
         for status in message.status:
             name = status.name.removeprefix(f"{own}/") if own else status.name
-            if own and name == status.name and status.hardware_id == "suspension_twin":
+            if own and name == status.name and status.hardware_id.startswith(HARDWARE):
                 continue  # of another twin
             level = int.from_bytes(status.level, "little")
             values = {pair.key: pair.value for pair in status.values}

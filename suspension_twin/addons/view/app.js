@@ -230,7 +230,9 @@ function showHealth(statuses) {
     const [name, input] = status.name.split(/:\s+/, 2);
     if (!groups.has(name)) groups.set(name, { level: 0, says: [], rates: [], rows: [] });
     const group = groups.get(name), rate = status.values["rate (Hz)"];
-    group.level = Math.max(group.level, status.level);
+    // a silent topic is stale, and a warning; a thing that is not known yet is neither
+    const level = status.level < 3 || !input ? status.level : status.values.messages === undefined ? 0 : 1;
+    group.level = Math.max(group.level, level);
     if (!input && status.level > 0) group.says.push([status.level, status.message]);
     if (input && rate !== undefined && status.values.messages !== "0") group.rates.push(`${input.replace("vertical_acceleration", "vertical")} ${rate === "" ? "–" : Math.round(+rate)}`);
     for (const [key, value] of Object.entries(status.values)) if (value !== "") group.rows.push([input ? `${input}: ${key}` : key, value]);
