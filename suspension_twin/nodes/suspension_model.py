@@ -7,6 +7,7 @@ The vehicle model is :class:`~suspension_twin.models.live.LiveTwin`.
 from __future__ import annotations
 
 import math
+import time
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -18,7 +19,7 @@ from std_srvs.srv import Trigger
 from suspension_twin.errors import InputError
 from suspension_twin.live.follow import BodyAcceleration, Follower, FollowSettings, Pairing
 from suspension_twin.live.gap import GapNow, calibration_gap, gap_warning
-from suspension_twin.live.twin import Update, compile_stages
+from suspension_twin.live.twin import Update, compile_stages, delay_of
 from suspension_twin.nodes.lifecycle import ManagedNode
 from suspension_twin.nodes.messages import read_odometry
 from suspension_twin.nodes.parameters import (
@@ -45,6 +46,8 @@ WHOLE_GAP = "live gap over all driving, rms (m/s²)"
 NO_TWIN = "no twin loaded: set the parameter twin or call ~/load_twin"
 #: The nodes whose low-pass has to be that of this one.
 FILTERING = ("imu_ingest", "pose_injector")
+#: Samples over which their age is averaged.
+_AGES = 50
 #: Times the noise at standstill below which the gap says nothing of the suspension.
 _EXCITED = 3.0
 _HARDEST = 1e5  # m/s², more than any vehicle's body
@@ -112,6 +115,8 @@ class SuspensionModelNode(ManagedNode):
         self._programs = () if program is None else (program,)
         compile_stages()
         self._pairing = Pairing()
+        #: Mean age in ns of the samples by their stamps, when they have been answered.
+        self._age = 0.0
         self._out = TwinOutputs(self, self.values["map_frame"], self.values["base_frame"])
         self._follower: Follower | None = None
         self._out.configure(None, self.values["visual_rate"], self.values["gap.rate"])
@@ -203,6 +208,7 @@ class SuspensionModelNode(ManagedNode):
             self._note_event(at.event)
         if not math.isnan(at.vertical_acceleration):
             self._out.send(at, follower, ns)
+            self._age += (time.time_ns() - ns - self._age) / _AGES
 
     def _note_event(self, event: str) -> None:
         kind = event.removeprefix("the ").partition(" ")[0].rstrip(":")
@@ -271,6 +277,7 @@ class SuspensionModelNode(ManagedNode):
             self.health.values["gap now, normalised"] = f"{gap.normalised:.2f}"
             self.health.values[WHOLE_GAP] = f"{self.whole_gap():.3f}"
         self._show_gap(gap)
+        self._show_latency()
         self.show_findings([] if self._follower is None else self._follower.findings)
 
     def _show_gap(self, gap: GapNow | None) -> None:
@@ -287,6 +294,18 @@ class SuspensionModelNode(ManagedNode):
         quiet = gap.measured_rms < _EXCITED * gap.noise_rms
         text = "hardly any: standing, or a smooth road" if quiet else f"{gap.measured_rms:.2f} m/s² measured"
         show("excitation", OK, text, measured=gap.measured_rms, noise=gap.noise_rms)
+
+    def _show_latency(self) -> None:
+        """By how much the answers are behind the car, and why; in a replay the age of a stamp means nothing."""
+        if self._follower is None or not self._age or self.simulated_time:
+            return
+        delay, late = 1e3 * delay_of(filter_of(self.values)), 1e3 * self._follower.twin.imu.latency
+        age = self._age / 1e6
+        text = (
+            f"{age + delay + late:.1f} ms behind the car: {age:.1f} ms from a sample's stamp to its answer, "
+            f"{delay:.1f} ms by the low-pass, {late:.1f} ms by the sensor (imu.latency)"
+        )
+        self.health.thing("latency", OK, text, age_ms=age, low_pass_ms=delay, sensor_ms=late)
 
 
 def _named(values: Values) -> Twin | None:

@@ -3,9 +3,13 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import yaml
+from geometry_msgs.msg import AccelStamped
+from nav_msgs.msg import Odometry
+from nodes_bench import put_stamp
 from test_pose_injector import T0, imu, straight
 
 from suspension_twin.nodes.base import HARDWARE
@@ -13,6 +17,7 @@ from suspension_twin.nodes.composed import KINDS
 from suspension_twin.nodes.imu_ingest import ImuIngestNode
 from suspension_twin.nodes.pose_injector import PoseInjectorNode
 from suspension_twin.nodes.suspension_model import SuspensionModelNode
+from suspension_twin.vehicle.twin import load_twin, save_twin
 
 OK, WARN, STALE = b"\x00", b"\x01", b"\x03"
 
@@ -56,6 +61,22 @@ def test_pose_and_gap_have_theirs(bench, twin_path):
     assert found["latency"].level == found["datum"].level == OK and "47.4" in found["datum"].message
     model = bench.make(SuspensionModelNode, twin=str(twin_path))
     assert {shown(model)[thing].level for thing in ("gap", "excitation")} == {STALE}
+
+
+def test_it_says_by_how_much_the_twin_is_behind_the_car_and_why(bench, twin_path, twin, tmp_path):
+    late = load_twin(twin_path).with_changes({"imu.latency": 0.02})
+    save_twin(late, tmp_path / "twin.yaml")
+    model = bench.make(SuspensionModelNode, twin=str(tmp_path / "twin.yaml"))
+    assert "latency" not in shown(model)
+    for _ in range(300):
+        t = time.time() - 0.030
+        odom, felt = put_stamp(Odometry(), t), put_stamp(AccelStamped(), t)
+        odom.header.frame_id, odom.pose.pose.orientation.w = "map", 1.0
+        model.inputs["twin/odom"].deliver(odom)
+        model.inputs["imu/vertical_acceleration"].deliver(felt)
+    found = values(shown(model)["latency"])
+    assert found["sensor ms"] == 20.0 and abs(found["low pass ms"] - 11.3) < 0.3
+    assert 29.0 < found["age ms"] < 60.0
 
 
 def test_a_topic_that_is_silent_is_stale(bench):
