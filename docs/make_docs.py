@@ -31,7 +31,8 @@ PICTURES = {"bump_time": "bump.png", "characteristics": "characteristics.png", "
 #: What each node does, in a few words.
 DOES = {
     "imu_ingest": "axes, biases and units of the IMU; low-pass",
-    "pose_injector": "GPS and gyroscope to a smooth pose at the IMU's rate, by a poor receiver where it is felt",
+    "pose_injector": "GPS, or another program's pose, and gyroscope to a smooth pose at the IMU's rate; that of a poor "
+    "receiver is moved to where the road is felt",
     "suspension_model": "the twin along that pose over the road; the gap",
     "calibrator": "calibration and diagnosis of recorded drives",
     "source": "live phones, receivers and IMUs ([sources](sources.md)); only where it is given sources",
@@ -52,6 +53,13 @@ CARRIES = {
     ),
     "vel": ("any", "`twist.linear` m/s: x east, y north, z up"),
     "heading": ("any", "optional; yaw of the vehicle from east, counter-clockwise"),
+    "odom": (
+        "`map`, child `base_link` or a sensor's",
+        "in place of `fix`, `vel` and `heading`: pose m, speeds m/s in the child's axes; covariances",
+    ),
+    "pose": ("`map`", "in place of `fix`: `base_link` in a game engine or a motion capture, m"),
+    "transform": ("`map`, child `base_link` or a sensor's", "the same as a transform"),
+    "fix_velocity": ("any", "in place of `vel`: m/s, x east, y north; covariance"),
     "twin/odom": (
         "`map`, child `base_link`",
         "pose m and speed m/s, locked to the vehicle in x, y and yaw; covariance, along the road that of a felt place",
@@ -275,7 +283,9 @@ def parameters() -> str:
     from suspension_twin.nodes.base import COMMON
 
     text, classes = "", _node_classes()
-    groups = {"every node": COMMON} | {name: kind.parameters for name, kind in classes.items()}
+    groups = {"every node": COMMON} | {
+        name: (*kind.common[len(COMMON) :], *kind.parameters) for name, kind in classes.items()
+    }
     for name, declared in groups.items():
         rows = []
         for p in declared:

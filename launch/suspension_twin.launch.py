@@ -2,7 +2,8 @@
 """The four nodes, each in a process of its own: ``ros2 launch suspension_twin suspension_twin.launch.py twin:=...``.
 
 With ``sources:="sensorlogger://0.0.0.0:8000 ubx:/dev/ttyACM0"`` a fifth one connects phones, receivers and IMUs; with
-``learn_road:=/path/to/road.crg`` another learns the road as it is driven over.
+``learn_road:=/path/to/road.crg`` another learns the road as it is driven over; with ``autostart:=false`` the four wait
+for a lifecycle manager.
 
 ``suspension-twin run`` starts the same nodes in one process, which costs less.
 """
@@ -39,6 +40,11 @@ def generate_launch_description() -> LaunchDescription:
             "namespace", default_value="", description="A namespace that holds the whole twin."
         ),
         DeclareLaunchArgument(
+            "autostart",
+            default_value="true",
+            description="Whether the four nodes start by themselves; false: a lifecycle manager configures them.",
+        ),
+        DeclareLaunchArgument(
             "sources", default_value="", description="URLs of live sources, separated by spaces."
         ),
         DeclareLaunchArgument(
@@ -54,13 +60,14 @@ def generate_launch_description() -> LaunchDescription:
             "use_sim_time": ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool),
         },
     ]
+    autostart = ParameterValue(LaunchConfiguration("autostart"), value_type=bool)
     nodes = [
         Node(
             package="suspension_twin",
             executable=name,
             name=name,
             namespace=LaunchConfiguration("namespace"),
-            parameters=parameters,
+            parameters=[parameters[0], {**parameters[1], "autostart": autostart}],
             output="screen",
         )
         for name in FOUR

@@ -19,8 +19,6 @@ from suspension_twin.inference.objectives import Term
 from suspension_twin.inference.observation import Observation, observe
 from suspension_twin.inference.problem import Data, Interrupted
 from suspension_twin.inference.space import Space
-from suspension_twin.models.parameters import pack
-from suspension_twin.models.simulate import simulate_lanes
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["drive_fits", "paper_distance"]
@@ -37,7 +35,7 @@ def drive_fits(setup: Setup, outcome: SearchOutcome, after: Twin, values: Floats
         if drive.reading is not None and after.imu != drive.twin.imu:
             # another latency or mounting gives other measured signals and another motion
             seen = observe(drive.reading.drive, after, drive.road, drive.settings)
-        sides = [_simulated(p, twin) for p, twin in ((drive, setup.original), (seen, after))]
+        sides = [part.simulated(twin) for part, twin in ((drive, setup.original), (seen, after))]
         if not setup.on_road:  # some may validate
             number = next((k for k, part in enumerate(data.parts) if part is drive), -1)
         residual, correlation = _corrected(outcome, number, values)
@@ -76,12 +74,6 @@ def _profile(drive: Observation) -> tuple[Floats, Floats]:
     return along, np.column_stack(
         [road.heights_uv(along, np.full(along.size, lane + side)) for side in (half, -half)]
     )
-
-
-def _simulated(drive: Observation, twin: Twin) -> dict[str, Floats]:
-    response = simulate_lanes(twin, pack(twin)[:, None], drive.excitation)
-    filtered = drive.grid.apply(response.stacked(tuple(drive.measured))[:, :, 0])
-    return {name: filtered[:, i] for i, name in enumerate(drive.measured)}
 
 
 def paper_distance(setup: Setup, twin: Twin) -> float:

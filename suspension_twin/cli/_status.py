@@ -17,6 +17,7 @@ from suspension_twin.errors import printable
 if TYPE_CHECKING:
     from typing import Self  # of Python 3.11
 
+    from suspension_twin.inference.gap import Gap
     from suspension_twin.nodes.composed import Composed, Condition
 
 __all__ = ["UpdatedLines", "complaint", "conclusion", "line", "say"]
@@ -33,10 +34,11 @@ def line(condition: Condition) -> Text:
     """``condition`` in a line of at most 80 columns; below it the learnt road, and complaints in colour."""
     parts = []
     if (played := condition.played) is not None:
-        again = f", round {played.rounds + 1}" if played.rounds else ""
-        parts.append(f"{played.position:.0f} of {played.duration:.0f} s{again}")
+        again = f", loop {played.rounds + 1}" if played.rounds else ""
+        at = f"{played.position:.0f} of {played.duration:.0f} s{again}"
+        parts.append("waits for the page" if played.waiting else at)
     known = (f"{n} {'-' if math.isnan(r) else f'{r:.0f}'}" for n, r in condition.rates.items())
-    text = Text(_fitting([*parts, f"{', '.join(known)} Hz", f"gap {condition.gap or '-'}"]))
+    text = Text(_fitting([*parts, f"{', '.join(known)} Hz", f"gap now {condition.gap or '-'}"]))
     if condition.learning is not None:
         text.append(f"\n{condition.learning[:_WIDTH]}")
     if condition.complaints:
@@ -107,10 +109,14 @@ class UpdatedLines:
         self.say(lines)
 
 
-def conclusion(composed: Composed, seconds: float) -> list[Text]:
-    """The last lines of a run of so many seconds."""
-    end, whole = composed.condition(), composed.model.whole_gap()
-    lines = [Text(f"{end.answers} answers to {end.samples} IMU samples in {seconds:.1f} s")]
-    if not math.isnan(whole):
-        lines.append(Text(f"Gap over the whole drive: {whole:.3f} m/s² rms"))
-    return lines
+def conclusion(composed: Composed, seconds: float, offline: tuple[Gap, Gap] | None = None) -> list[Text]:
+    """The last lines of a run of so many seconds: how many samples were answered, and the live gap; of a replay also
+    the gap with the whole drive known, of all driving and of that which the live one counts."""
+    end, live = composed.condition(), composed.model.whole_gap()
+    lines = [f"{end.answers} answers to {end.samples} IMU samples in {seconds:.1f} s"]
+    if not math.isnan(live):
+        same = "" if offline is None else f" ({offline[1].rms:.3f} with the whole drive known)"
+        lines.append(f"Live gap since the twin settled: {live:.3f} m/s² rms{same}")
+    if offline is not None:
+        lines.append(f"Gap over all driving: {offline[0].rms:.3f} m/s² rms")
+    return [Text(text) for text in lines]

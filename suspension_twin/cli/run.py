@@ -18,10 +18,11 @@ import typer
 
 from suspension_twin.cli.common import Force, Outputs, SourceUrls
 from suspension_twin.cli.options import grouped
-from suspension_twin.errors import InputError, WorkError
+from suspension_twin.errors import InputError, SuspensionTwinError, WorkError
 from suspension_twin.registry import Registry
 
 if TYPE_CHECKING:
+    from suspension_twin.inference.gap import Gap
     from suspension_twin.nodes.composed import Composed, Playback
     from suspension_twin.nodes.process import Stop
     from suspension_twin.vehicle.twin import Twin
@@ -30,8 +31,8 @@ __all__ = ["Companion", "FleetSettings", "RosSettings", "RunSettings", "command"
 
 #: Seconds before a recording begins, in which subscribers find the topics.
 _DISCOVERY = 0.5
-#: The same where a page is to be opened first.
-_VIEWED = 3.0
+#: The same where a page is to be opened first, which may well be forgotten.
+_VIEWED = 20.0
 
 
 @dataclass(frozen=True)
@@ -279,7 +280,9 @@ def _run_command(
                 with ExitStack() as stack:
                     for companion in companions:
                         stack.enter_context(companion.beside(composed, stop))
-                    _run(composed, lambda: stop.asked or not context.ok(), bag)
+                    if playback is not None and playback.stay:
+                        say(f"The replay begins with the first page that is opened, or in {_VIEWED:.0f} s.")
+                    _run(composed, lambda: stop.asked or not context.ok(), bag, playback)
             finally:
                 composed.close()
 
@@ -299,7 +302,9 @@ def _playback(bag: Path, speed: float, loop: bool, delay: float) -> Playback:
     return Playback(drive, speed, loop, delay, stay=delay > _DISCOVERY)
 
 
-def _run(composed: Composed, stop_asked: Callable[[], bool], bag: Path | None) -> None:
+def _run(
+    composed: Composed, stop_asked: Callable[[], bool], bag: Path | None, playback: Playback | None
+) -> None:
     from suspension_twin.cli._status import UpdatedLines, conclusion, line
 
     began = time.monotonic()
@@ -316,4 +321,24 @@ def _run(composed: Composed, stop_asked: Callable[[], bool], bag: Path | None) -
             why = next((f": {c}" for c in end.complaints if c.startswith("pose_injector")), "")
             why = why or (f": {end.complaints[0]}" if end.complaints else "")
             raise WorkError(f"{bag}: the twin answered none of {end.samples} IMU samples{why}")
-        lines.conclude(conclusion(composed, time.monotonic() - began))
+        offline = None
+        if playback is not None and composed.finished:
+            offline = _offline_gap(composed, playback)
+        lines.conclude(conclusion(composed, time.monotonic() - began, offline))
+
+
+def _offline_gap(composed: Composed, playback: Playback) -> tuple[Gap, Gap] | None:
+    """The gap of the drive that was replayed, as ``simulate`` measures it, of all driving and of that which the live
+    gap counts; None where it cannot be compared."""
+    from suspension_twin.inference.observation import ObserveSettings
+    from suspension_twin.inference.simulated import simulate_drive
+
+    follower = composed.twin.follower
+    if follower is None:
+        return None
+    try:
+        settings = ObserveSettings(filter=follower.settings.filter)
+        result = simulate_drive(playback.drive, follower.twin, settings=settings)
+        return result.gap, result.gap_from(follower.gap.driving_since)
+    except SuspensionTwinError:  # as of a drive beside the road, which the live twin has warned of
+        return None

@@ -33,6 +33,7 @@ from suspension_twin.diagnosis.where import concentrated_section, strongest_tone
 from suspension_twin.files import Json
 from suspension_twin.inference.cross_validation import Evidence, intervals
 from suspension_twin.inference.fit import linearised_fit
+from suspension_twin.inference.gap import pooled_gap
 from suspension_twin.inference.hypothesis import Hypothesis
 from suspension_twin.inference.parallel import side_by_side
 from suspension_twin.inference.problem import Problem
@@ -109,7 +110,8 @@ class _Rows:
         judged, problem = self.judged, self.judged.problem
         rows = gap_rows(judged.problem)
         motion = np.std(problem.measured.values[rows], axis=0)
-        gap = np.sqrt(np.mean(judged.scale.uncalibrated.difference[rows] ** 2, axis=0))
+        drives = [d for d, active in zip(self.case.drives, self.case.active, strict=True) if active]
+        gap = pooled_gap([d.gap(d.simulated(self.case.twin)) for d in drives], problem.channels)
         row = _plain(
             {
                 "kind": self.case.kind,
@@ -122,7 +124,7 @@ class _Rows:
                     name: {
                         "noise": judged.noise[name],
                         "motion": motion[c],
-                        "gap": gap[c],
+                        "gap": gap.channels[name],
                         "driven": c in self.driven,
                     }
                     for c, name in enumerate(problem.channels)

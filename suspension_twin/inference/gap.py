@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,13 +32,14 @@ __all__ = [
     "channel_unit",
     "main_channel",
     "measure_gap",
+    "pooled_gap",
     "write_gap",
 ]
 
 
 @dataclass(frozen=True)
 class Gap:
-    """Differences of two signals after the same filter.
+    """Differences of two signals after the same filter, over all driving on the road.
 
     Parameters
     ----------
@@ -210,6 +211,18 @@ def measure_gap(
         rms[channel] = value
     main = rms[main_channel(measured)]
     return Gap(main, main**2, noise_rms, rms, count / rate)
+
+
+def pooled_gap(gaps: Sequence[Gap], channels: Sequence[str]) -> Gap:
+    """The gap in some channels over several drives together, each by its seconds."""
+    seconds = np.array([g.seconds for g in gaps])
+
+    def pooled(values: Sequence[float]) -> float:
+        return float(np.sqrt(np.sum(seconds * np.square(values)) / seconds.sum()))
+
+    rms = {name: pooled([g.channels[name] for g in gaps]) for name in channels}
+    main = rms[main_channel(channels)]
+    return Gap(main, main**2, pooled([g.noise_rms for g in gaps]), rms, float(seconds.sum()))
 
 
 def main_channel(names: Iterable[str]) -> str:

@@ -33,13 +33,15 @@ from suspension_twin.inference.sensor_correction import (
 )
 from suspension_twin.models.excitation import coarser, excitation
 from suspension_twin.models.hooks import clocks_with, gains_with, turns_with, upright_with
+from suspension_twin.models.parameters import pack
+from suspension_twin.models.simulate import simulate_lanes, simulate_twin
 from suspension_twin.models.tracked import ObstacleRun
 from suspension_twin.models.types import Excitation, Response
 from suspension_twin.pose.imu_gnss_consistency import clock_offset_beyond, findings, yaw_beyond
 from suspension_twin.pose.planar_denoising import denoised_motion
 from suspension_twin.pose.satellites import satellite_motion
 from suspension_twin.pose.smoothed import MAX_MEAN_SLOPE, locked_trajectory, mean_tilt
-from suspension_twin.pose.types import Trajectory
+from suspension_twin.pose.types import STANDING_SPEED, Trajectory
 from suspension_twin.road.crg import warning_of
 from suspension_twin.road.road import Outside, Road
 from suspension_twin.signals.attitude import level_rpy, rpy_matrix
@@ -386,10 +388,28 @@ class Observation:
         standing = self.signals.standing
         return float(response.vertical_acceleration[standing].mean()) if standing.any() else 0.0
 
+    def simulated(self, twin: Twin) -> dict[str, Floats]:
+        """The channels (m,) of a twin, conditioned as the measured ones."""
+        if self.reading is not None:
+            return self.condition(simulate_twin(twin, self.road_excitation))
+        response = simulate_lanes(twin, pack(twin)[:, None], self.excitation)
+        filtered = self.grid.apply(response.stacked(tuple(self.measured))[:, :, 0])
+        return {name: filtered[:, i] for i, name in enumerate(self.measured)}
+
+    @cached_property
+    def driving(self) -> NDArray[np.bool_]:
+        """(m,) True where a drive is compared and the vehicle moves, within the range of its sensor; all that is
+        compared of a controlled run, and of a vehicle that never moves."""
+        if self.reading is None:
+            return self.mask
+        within = np.interp(self.t, self.signals.t, self.signals.saturated.astype(float)) < 0.01
+        moving = np.asarray(self.mask & within & (np.abs(self.speed) > STANDING_SPEED))
+        return moving if moving.any() else self.mask
+
     def gap(self, simulated: Mapping[str, Floats]) -> Gap:
-        """The gap to conditioned channels, over every sample that can be compared."""
+        """The gap to conditioned channels, over all driving on the road."""
         floor = self.noise_rms[main_channel(self.measured)]
-        return measure_gap(self.measured, simulated, self.mask, self.rate, floor)
+        return measure_gap(self.measured, simulated, self.driving, self.rate, floor)
 
     def part(self, start: float, end: float) -> Observation:
         """The samples of a drive with stamps between ``start`` and ``end`` s, with a grid of their own."""

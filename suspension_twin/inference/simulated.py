@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -63,6 +63,12 @@ class SimulatedDrive(Comparison):
     def simulated(self) -> Mapping[str, Floats]:
         """(m,) simulated signal of each channel, m/s² and rad/s."""
         return self.observation.condition(self.response)
+
+    def gap_from(self, t: float) -> Gap:
+        """The gap over the driving from ``t`` s on; WorkError where there is none."""
+        seen = self.observation
+        later = replace(seen, grid=replace(seen.grid, mask=seen.mask & (seen.t >= t)))
+        return later.gap(self.simulated)
 
     def as_dict(self) -> Json:
         """Contents of ``gap.json``: the gap, and how it was measured."""

@@ -12,14 +12,15 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.inference.observation import road_of
-from suspension_twin.live.gap import STANDING_SPEED, CalibrationGap, GapTiles, RunningGap, gap_warning
+from suspension_twin.live.gap import CalibrationGap, GapTiles, RunningGap, gap_warning
 from suspension_twin.models.live import LiveState, live_twin
 from suspension_twin.models.types import PoseSample
 from suspension_twin.pose.ekf import planar_acceleration
 from suspension_twin.pose.lock import PlanarMotion, PlanarState
+from suspension_twin.pose.types import STANDING_SPEED
 from suspension_twin.road.build import flat_road
 from suspension_twin.road.road import Road
-from suspension_twin.signals.attitude import Quaternion, quaternion, rpy_matrix
+from suspension_twin.signals.attitude import Quaternion, quaternion, quaternion_product, rpy_matrix
 from suspension_twin.signals.checks import Finding
 from suspension_twin.signals.filters import FilterSpec, LiveLowPass
 from suspension_twin.vehicle.twin import Twin
@@ -30,6 +31,8 @@ __all__ = ["BodyAcceleration", "FollowSettings", "Followed", "Follower", "Pairin
 _LIMIT = 2_000_000_000
 #: A pose further than this from where the speed leads to is a jump, not a movement: m and rad.
 _JUMP, _TURN = 0.5, 0.3
+#: s between two looks at whether the wheels are on the road: a wheel's length at 30 km/h.
+_LOOK = 0.1
 #: m/s²: no vehicle's body; beyond it the model has diverged.
 _HARDEST = 1e5
 #: s, time constant of the crossover at 0.4 Hz from the acceleration of the path to that of the IMU.
@@ -169,6 +172,8 @@ class Follower:
         self.gap = settings.gap()
         self.tiles = GapTiles()
         self._low_pass = LiveLowPass(settings.filter)
+        # Offline the low-pass runs forwards and backwards. Once more forwards it has the same gain at every frequency.
+        self._again = LiveLowPass(settings.filter), LiveLowPass(settings.filter)
         #: Samples without a pose, which were not simulated.
         self.lost = 0
         self.reset()
@@ -176,15 +181,20 @@ class Follower:
     def reset(self) -> None:
         """Back to static equilibrium."""
         self._live.reset()
-        self._low_pass.reset()
+        self._reset_filters()
         self.gap.reset()
         self.tiles.reset()
         self._forget()
+
+    def _reset_filters(self) -> None:
+        for low_pass in (self._low_pass, *self._again):
+            low_pass.reset()
 
     def _forget(self) -> None:
         self._t = math.nan
         self._pose: PlanarState | None = None
         self._rates = (0.0, 0.0)
+        self._off, self._looked = 0, -math.inf
         self._planar.reset()
 
     def step(self, t: float, pose: PlanarState, measured: BodyAcceleration) -> Followed:
@@ -206,12 +216,14 @@ class Follower:
             self.gap.restart(t)
         if not abs(state.vertical_acceleration) < _HARDEST:  # impossible poses
             self._live.reset()
-            self._low_pass.reset()
+            self._reset_filters()
             self.gap.restart(t)
             self._forget()
             return Followed(pose, (ax, ay), state, vertical, math.nan, "diverged: restarted")
         filtered = self._low_pass.push(t, state.vertical_acceleration - self._standing_vertical)
-        self.gap.push(t, vertical, filtered, speed)
+        again, once_more = self._again
+        gap = again.push(t, vertical), once_more.push(t, filtered)
+        self.gap.push(t, gap[0], gap[1], speed, self._on_road(t, pose))
         if pose.aligned and self.gap.settled:
             ahead, left, _ = self.twin.imu.position
             c, s = math.cos(pose.yaw), math.sin(pose.yaw)
@@ -234,6 +246,19 @@ class Follower:
         turn = motion.yaw_rate
         return along - turn * motion.lateral_speed, across + turn * motion.speed
 
+    def _on_road(self, t: float, pose: PlanarState) -> bool:
+        """Whether the pose is known and all wheels have a road under them, looked at ten times a second."""
+        if not 0.0 <= t - self._looked < _LOOK:
+            self._off, self._looked = self._wheels_off(pose), t
+        return pose.aligned and not self._off
+
+    def _wheels_off(self, pose: PlanarState) -> int:
+        c, s = math.cos(pose.yaw), math.sin(pose.yaw)
+        wheels = self.twin.vehicle.wheel_positions
+        x = pose.x + c * wheels[:, 0] - s * wheels[:, 1]
+        y = pose.y + s * wheels[:, 0] + c * wheels[:, 1]
+        return int(np.count_nonzero(~self.road.inside(x, y)))
+
     def _jump(self, t: float, pose: PlanarState) -> str:
         before = self._pose
         if before is None:
@@ -252,7 +277,7 @@ class Follower:
     def virtual_imu(self, at: Followed) -> VirtualImu:
         """The sensor of the twin, at the place of the real one."""
         force, rate = self._in_sensor(at.state.force), self._in_sensor(at.state.rate)
-        return VirtualImu(force, rate, _product(at.orientation, self._mounting))
+        return VirtualImu(force, rate, quaternion_product(at.orientation, self._mounting))
 
     def _in_sensor(self, vector: Floats) -> Vector:
         (x, y, z), (a, b, c) = vector.tolist(), self._to_sensor
@@ -270,27 +295,12 @@ class Follower:
             text = "the twin file names no road: the twin drives on a plane, and the gap is that of the whole road"
             found.append(Finding("warn", "no_road", text))
         elif pose is not None and pose.aligned:
-            c, s = math.cos(pose.yaw), math.sin(pose.yaw)
-            wheels = self.twin.vehicle.wheel_positions
-            x = pose.x + c * wheels[:, 0] - s * wheels[:, 1]
-            y = pose.y + s * wheels[:, 0] + c * wheels[:, 1]
-            off = int(np.count_nonzero(~self.road.inside(x, y)))
-            count = f"{off} of {len(wheels)} wheels"
+            off = self._wheels_off(pose)
+            count = f"{off} of {len(self.twin.vehicle.wheel_positions)} wheels"
             text = f"{count} are outside the road file: check the datum and the position of the road"
             found += [Finding("warn", "off_road", text)] if off else []
         grown = gap_warning(self.gap.now(), self.settings.floor, self.settings.warn)
         return [*found, Finding("warn", "gap", grown)] if grown else found
-
-
-def _product(p: Quaternion, q: Quaternion) -> Quaternion:
-    px, py, pz, pw = p
-    qx, qy, qz, qw = q
-    return (
-        pw * qx + px * qw + py * qz - pz * qy,
-        pw * qy - px * qz + py * qw + pz * qx,
-        pw * qz + px * qy - py * qx + pz * qw,
-        pw * qw - px * qx - py * qy - pz * qz,
-    )
 
 
 class Pairing:

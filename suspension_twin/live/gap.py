@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The live gap over a sliding window, sample by sample."""
+"""The live gap over a sliding window and over all driving, sample by sample."""
 
 from __future__ import annotations
 
@@ -16,22 +16,26 @@ from suspension_twin.arrays import Floats
 from suspension_twin.calibration.output import details_path
 from suspension_twin.errors import InputError
 from suspension_twin.files import read_yaml, reading
+from suspension_twin.pose.types import STANDING_SPEED
 
 __all__ = ["CalibrationGap", "GapNow", "GapTile", "GapTiles", "RunningGap", "calibration_gap", "gap_warning"]
 
-#: Speed in m/s below which a vehicle counts as standing, and seconds of it before noise is learnt.
-STANDING_SPEED = 0.1
+#: Seconds of standing before noise is learnt.
 STANDING_TIME = 1.0
 #: Rows that the ring grows by.
 _GROW = 1024
+#: Parts of the window, of which two make a piece of the spectrum: 4 s of 10, so that the lowest band, from 0.5 Hz on,
+#: begins at the second line.
+_PIECES = 5
 #: Edge of a tile in m and the number of tiles kept: the last two kilometres; samples from which a tile is shown.
 TILE_EDGE, _MOST_TILES, _FEWEST = 1.0, 2000, 3
 
 
 @dataclass(frozen=True)
 class GapNow:
-    """``rms``, ``measured_rms``, ``bands`` m/s²; ``noise_rms`` and ``normalised`` NaN while not known;
-    ``samples`` in the window."""
+    """``rms``, ``measured_rms``, ``bands`` m/s²; ``noise_rms`` and ``normalised`` NaN while not known, ``normalised``
+    the ratio to the residual of the calibration where it is ``calibrated``, else to the noise; ``samples`` in the
+    window."""
 
     rms: float
     measured_rms: float
@@ -39,14 +43,17 @@ class GapNow:
     normalised: float
     bands: tuple[float, ...]
     samples: int
+    calibrated: bool = False
 
     def __str__(self) -> str:
-        times = "" if math.isnan(self.normalised) else f" ({self.normalised:.1f} ×)"
+        floor = "calibrated" if self.calibrated else "noise"
+        times = "" if math.isnan(self.normalised) else f" ({self.normalised:.1f} × {floor})"
         return f"{self.rms:.2f} m/s²{times}"
 
 
 class RunningGap:
-    """Measured minus simulated vertical acceleration, both through the same filter.
+    """Measured minus simulated vertical acceleration, both through the same filter: over the window :meth:`now`, over
+    all driving on the road :attr:`driving_rms`.
 
     ``window`` s; ``edges`` Hz of adjoining bands, rising; ``floor`` m/s² residual rms of the calibration, 0
     where unknown (then the noise at standstill is used); ``settle`` s after a restart of the twin that do not count,
@@ -72,9 +79,9 @@ class RunningGap:
         self.floor = floor
         self._settle = settle
         self._ring = np.zeros((4 * _GROW, 3))
-        self._taper = np.empty(0)
-        #: Samples since the beginning, and the sum of their squared differences: what a reset leaves.
-        self._all, self._all_squares = 0, 0.0
+        #: Samples of driving since the beginning, the sum of their squared differences, and the stamp of the first:
+        #: what a reset leaves.
+        self._driven, self._squares, self.driving_since = 0, 0.0, math.nan
         self.reset()
 
     def reset(self) -> None:
@@ -90,8 +97,9 @@ class RunningGap:
         self._tail = self._head
         self._from = t + self._settle
 
-    def push(self, t: float, measured: float, simulated: float, speed: float) -> None:
-        """One sample: ``t`` s, accelerations m/s², ``speed`` m/s of the vehicle."""
+    def push(self, t: float, measured: float, simulated: float, speed: float, on_road: bool = True) -> None:
+        """One sample: ``t`` s, accelerations m/s², ``speed`` m/s of the vehicle, and whether its place on the road is
+        known."""
         self._learn(t, measured, speed)
         if t < self._from:
             return
@@ -100,8 +108,11 @@ class RunningGap:
             self._ring = np.roll(self._ring, -(self._tail % size), axis=0)
             self._ring = np.concatenate([self._ring, np.zeros_like(self._ring)])
             self._head, self._tail, size = self._head - self._tail, 0, 2 * size
-        self._all += 1
-        self._all_squares += (measured - simulated) ** 2
+        if on_road and abs(speed) > STANDING_SPEED:
+            if not self._driven:
+                self.driving_since = t
+            self._driven += 1
+            self._squares += (measured - simulated) ** 2
         self._ring[self._head % size] = (t, measured, simulated)
         self._head += 1
         while self._ring[self._tail % size, 0] <= t - self.window:
@@ -122,9 +133,9 @@ class RunningGap:
         noise[2] += off * (measured - noise[1])
 
     @property
-    def whole_rms(self) -> float:
-        """Rms in m/s² over everything since the beginning, whatever the window; NaN before the first sample."""
-        return math.sqrt(self._all_squares / self._all) if self._all else math.nan
+    def driving_rms(self) -> float:
+        """The gap in m/s²: over all driving on the road since the twin has settled; NaN before."""
+        return math.sqrt(self._squares / self._driven) if self._driven else math.nan
 
     @property
     def settled(self) -> bool:
@@ -153,26 +164,31 @@ class RunningGap:
             normalised=rms / floor if floor > 0 else math.nan,
             bands=self._bands(rows[:, 0], difference),
             samples=len(rows),
+            calibrated=self.floor > 0,
         )
 
     def _rows(self) -> Floats:
         return np.asarray(self._ring[np.arange(self._tail, self._head) % len(self._ring)])
 
     def _bands(self, t: Floats, difference: Floats) -> tuple[float, ...]:
-        """Rms in each band, by Parseval over a Hann window, so that the squares of all bands add up
-        to the square of the whole (but for what lies outside of them)."""
+        """Rms in each band: the square of the whole in the shares of the spectrum, so that the squares of the bands,
+        with what lies outside of them, add up to it.
+
+        The pieces of the spectrum overlap by half under sine tapers, whose squares add up to one: but for the ends,
+        every sample counts as much as in the whole, wherever in the window it lies.
+        """
         if len(self.edges) < 2:
             return ()
         n = difference.size
-        if n != self._taper.size:
-            self._taper = np.hanning(n + 2)[1:-1]
-        taper = self._taper
-        power = np.abs(np.fft.rfft(difference * taper)) ** 2 / (n * float(np.sum(taper**2)))
-        power[1:] *= 2.0
-        if n % 2 == 0:
-            power[-1] /= 2.0
+        half = max(n // _PIECES, 1)
+        taper = np.sin(np.pi * (np.arange(2 * half) + 0.5) / (2 * half))
+        newest = difference[n % half :]
+        pieces = np.lib.stride_tricks.sliding_window_view(newest, 2 * half)[::half] * taper
+        power = np.sum(np.abs(np.fft.rfft(pieces, axis=1)) ** 2, axis=0)
+        power[[0, -1]] /= 2.0
+        power *= float(np.mean(difference**2)) / (float(power.sum()) or 1.0)
         # Samples are nearly even; the mean rate is what the frequencies need.
-        frequency = np.arange(power.size) * ((n - 1) / (float(t[-1] - t[0]) * n))
+        frequency = np.arange(power.size) * ((n - 1) / (float(t[-1] - t[0]) * 2 * half))
         at = np.searchsorted(frequency, self.edges)
         return tuple(float(np.sqrt(power[a:b].sum())) for a, b in zip(at, at[1:], strict=False))
 

@@ -36,6 +36,7 @@ from suspension_twin.nodes.topics import (
     ERROR,
     OK,
     SENSOR_QOS,
+    STALE,
     STREAM_QOS,
     WARN,
     Embedding,
@@ -49,9 +50,11 @@ from suspension_twin.nodes.topics import (
 from suspension_twin.signals.checks import Finding
 from suspension_twin.signals.clock import JUMP_BACK
 
-__all__ = ["COMMON", "Health", "TwinNode"]
+__all__ = ["COMMON", "HARDWARE", "Health", "TwinNode"]
 
 _LEVELS = {"ok": OK, "warn": WARN, "error": ERROR}
+#: Beginning of every hardware id; the frame of the sensor follows where the status is about one.
+HARDWARE = "suspension_twin"
 #: Seconds for which a past event stays in the diagnostics message.
 RECENT = 5.0
 
@@ -92,13 +95,14 @@ class _Event:
 
 @dataclass
 class Health:
-    """The condition of a node: ``values`` shown in the diagnostics, findings that hold until they are cleared,
-    events that are counted. ``name`` is the node's, ``clock`` gives s."""
+    """The condition of a node: ``values`` shown in the diagnostics, ``things`` with a status of their own, findings
+    that hold until they are cleared, events that are counted. ``name`` is the node's, ``clock`` gives s."""
 
     name: str
     clock: Callable[[], float]
     inputs: dict[str, InputState] = field(default_factory=dict)
     values: dict[str, str] = field(default_factory=dict)
+    things: dict[str, DiagnosticStatus] = field(default_factory=dict)
     findings: dict[str, tuple[bytes, str]] = field(default_factory=dict)
     events: dict[str, _Event] = field(default_factory=dict)
 
@@ -129,22 +133,31 @@ class Health:
                 found.append((event.level, event.text + times))
         return sorted(found, key=lambda entry: entry[0], reverse=True)
 
+    def thing(self, name: str, level: bytes, message: str, hardware: str = "", **values: float) -> None:
+        """Give a thing (a rate, a datum, the gap) its own status; ``hardware`` is the frame of its sensor, numbers that
+        are not known are left out."""
+        shown = {key.replace("_", " "): f"{v:.4g}" for key, v in values.items() if math.isfinite(v)}
+        self.things[name] = _status(f"{self.name}: {name}", [(level, message)], shown, hardware)
+
     def statuses(self) -> list[DiagnosticStatus]:
-        """One status of the node, one of each subscribed topic."""
+        """One status of the node, one of each thing, one of each subscribed topic."""
         counts = {f"{code} (count)": str(event.count) for code, event in self.events.items()}
         out = [_status(self.name, self.complaints(), self.values | counts)]
+        out += self.things.values()
         for state in self.inputs.values():
-            about = [(WARN, f"no message for {state.silent_for:.0f} s{state.why}")] if state.warned else []
+            about = [(STALE, f"no message for {state.silent_for:.0f} s{state.why}")] if state.warned else []
             rate = "" if math.isnan(state.rate) else f"{state.rate:.1f}"
             values = {"messages": str(state.received), "rate (Hz)": rate}
-            out.append(_status(f"{self.name}: {state.topic}", about, values))
+            out.append(_status(f"{self.name}: {state.topic}", about, values, state.frame))
         return out
 
 
-def _status(name: str, complaints: list[tuple[bytes, str]], values: dict[str, str]) -> DiagnosticStatus:
+def _status(
+    name: str, complaints: list[tuple[bytes, str]], values: dict[str, str], hardware: str = ""
+) -> DiagnosticStatus:
     return DiagnosticStatus(
         name=name,
-        hardware_id="suspension_twin",
+        hardware_id=f"{HARDWARE}: {hardware}" if hardware else HARDWARE,
         level=complaints[0][0] if complaints else OK,
         message="; ".join(text for _, text in complaints) or "ok",
         values=[KeyValue(key=k, value=v) for k, v in values.items()],
@@ -159,6 +172,8 @@ class TwinNode(Node):  # type: ignore[misc]
     parameters: tuple[Param, ...] = ()
     #: Whether rclpy's events executor serves the node in a process of its own.
     events = False
+    #: Whether it works; what comes otherwise is dropped.
+    active = True
 
     @classmethod
     def main(cls, args: list[str] | None = None) -> int:
@@ -183,7 +198,7 @@ class TwinNode(Node):  # type: ignore[misc]
         self.health = Health(self.get_fully_qualified_name().lstrip("/"), time.monotonic)
         self._shown: set[str] = set()
         self._counted: dict[str, int] = {}
-        self._set = ParameterSet(self, (*self.common, *self.parameters), self.check, self._on_change)
+        self._set = ParameterSet(self, (*self.common, *self.parameters), self.checked, self._on_change)
         self._read_limits()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         #: Called with every diagnostics message, beside the topic.
@@ -218,6 +233,13 @@ class TwinNode(Node):  # type: ignore[misc]
 
     def check(self, values: Values) -> None:
         """Raise InputError for ``values`` that cannot be used together."""
+
+    def checked(self, values: Values) -> None:
+        """:meth:`check` values that are to be taken."""
+        self.check(values)
+
+    def bring_up(self) -> None:
+        """Begin to work, once the node is whole."""
 
     def changed(self, names: AbstractSet[str]) -> None:
         """The parameters ``names`` have new values: with one of the node's own it starts anew."""

@@ -20,7 +20,6 @@ from rclpy.timer import Timer
 from suspension_twin.calibration.request import Progress
 from suspension_twin.errors import SuspensionTwinError
 from suspension_twin.files import for_peers, reading
-from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.jobs import (
     DiagnosisStep,
     Job,
@@ -34,6 +33,7 @@ from suspension_twin.nodes.jobs import (
     run_calibration,
     run_diagnosis,
 )
+from suspension_twin.nodes.lifecycle import ManagedNode
 from suspension_twin.nodes.parameters import FOLDERS, TWIN, Param, Values, twin_of
 from suspension_twin.nodes.topics import OK, WARN, Embedding
 from suspension_twin_interfaces.action import Calibrate, Diagnose
@@ -105,7 +105,7 @@ class _Running:
         self.outcome = {"success": False, "message": message}
 
 
-class CalibratorNode(TwinNode):
+class CalibratorNode(ManagedNode):
     """One goal at a time, calibration or diagnosis, in a worker process."""
 
     parameters = (
@@ -163,12 +163,14 @@ class CalibratorNode(TwinNode):
         super().destroy_node()  # type: ignore[no-untyped-call]
 
     def _busy(self) -> str:
-        name = "" if self._running is None else self._running.action.name
+        if self._running is None:
+            return "the node is not active"
+        name = self._running.action.name
         return f"a goal of {name} is running: cancel it or wait for its result"
 
     async def _on_goal(self, action: Action, _goal: object) -> GoalResponse:
         await self._answerable(f"{self.resolve_service_name(action.name)}/_action/send_goal")
-        if self._running is None:
+        if self._running is None and self.active:
             return GoalResponse.ACCEPT
         self.note("rejected goals", WARN, f"{action.name}: goal rejected, {self._busy()}")
         return GoalResponse.REJECT

@@ -86,11 +86,12 @@ class Playback:
 
 @dataclass(frozen=True)
 class Played:
-    """How far a playback is: ``position`` and ``duration`` s, ``rounds`` done."""
+    """How far a playback is: ``position`` and ``duration`` s, ``rounds`` done, whether it is ``waiting`` to begin."""
 
     position: float
     duration: float
     rounds: int
+    waiting: bool = False
 
 
 @dataclass(frozen=True)
@@ -219,6 +220,8 @@ class Composed:
                 self.executor.add_node(self.player)
             for topic, sender, receiver in links:
                 senders[sender].outputs[topic].links.append(self.nodes[receiver].inputs[topic].deliver)
+            for node in self.nodes.values():
+                node.bring_up()
         except BaseException:
             self.close()
             raise
@@ -232,6 +235,7 @@ class Composed:
         #: Called with what every sample gives and its stamp in ns.
         self.outlets = self.ingest.outlets
         self.outlets[:0] = [self.model.take, injector.take]
+        self.ingest.oriented.append(injector.others.on_orientation)
         for node in (self.ingest, injector, self.model):
             node.companions = (self.ingest, injector, self.model)
         if self._shared:
@@ -248,9 +252,8 @@ class Composed:
         pause = math.inf
         if self.player is not None:
             pause = self.player.play()
-            resting = self.player.paused or self.player.ended
             for node in self.nodes.values():
-                node.clock_rests = resting
+                node.clock_rests = self.player.resting
         if self.source is not None:
             self._step_live(self.source, most)
         elif not self._serve_ready() and pause > 0.0:
@@ -328,7 +331,7 @@ class Composed:
             failing=any(level == ERROR for level, _ in complaints),
             played=None
             if player is None
-            else Played(player.position, player.duration, player.loops - int(player.done)),
+            else Played(player.position, player.duration, player.loops, player.waiting),
             learning=None if self.learner is None else self.learner.condition(),
         )
 

@@ -7,6 +7,7 @@ goes through them here.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from geometry_msgs.msg import AccelStamped
@@ -15,8 +16,8 @@ from sensor_msgs.msg import Imu
 from suspension_twin.errors import InputError
 from suspension_twin.inference.sensor_correction import SensorCorrection
 from suspension_twin.live.twin import Update, compile_stages, ingest_stage
-from suspension_twin.nodes.base import TwinNode
-from suspension_twin.nodes.messages import put_stamp
+from suspension_twin.nodes.lifecycle import ManagedNode
+from suspension_twin.nodes.messages import is_rotation, put_stamp
 from suspension_twin.nodes.parameters import (
     FILTER,
     FOLDERS,
@@ -28,11 +29,16 @@ from suspension_twin.nodes.parameters import (
     low_pass_text,
     twin_of,
 )
-from suspension_twin.nodes.topics import Embedding
+from suspension_twin.nodes.topics import OK, STALE, WARN, Embedding
+from suspension_twin.signals.attitude import quaternion, quaternion_product
 from suspension_twin.signals.imu import ImuSettings, StillLimits
 
 __all__ = ["ImuIngestNode"]
 
+#: Hz, the nominal rates of an IMU.
+_LEAST, _MOST = 50.0, 1600.0
+#: Mean deviation of the stamps, as a share of their interval, from which single samples change places.
+_JITTER = 0.5
 _DEFAULT = ImuSettings()
 _STILL = StillLimits()
 #: Counters of the ingest that are reported while they grow.
@@ -46,7 +52,7 @@ _COUNTED = {
 }
 
 
-class ImuIngestNode(TwinNode):
+class ImuIngestNode(ManagedNode):
     """``imu/data_raw`` in; bias-free, filtered signals in ``base_link`` axes out."""
 
     parameters = (
@@ -122,7 +128,14 @@ class ImuIngestNode(TwinNode):
         self._vertical_out = self.offer(AccelStamped, "imu/vertical_acceleration")
         #: Called with what every sample gives and its stamp in ns, the most urgent first.
         self.outlets: list[Callable[[Update, int], None]] = [self.publish]
-        self.start()
+        #: Called with every sample that has an orientation, and the stamp in s.
+        self.oriented: list[Callable[[Imu, float], None]] = []
+        self._frame: str | None = None
+        self._silent: tuple[str, ...] = ()
+        self._unmount = 0.0, 0.0, 0.0, 1.0
+        self._ingest = ingest_stage(None, ImuSettings())
+        if self.active:
+            self.start()
         self.listen(Imu, "imu/data_raw", self._on_imu)
 
     def check(self, values: Values) -> None:
@@ -133,11 +146,17 @@ class ImuIngestNode(TwinNode):
         """See the base class."""
         twin = twin_of(self.values)
         self._frame = None if twin is None else twin.imu.frame
+        x, y, z, w = (0.0, 0.0, 0.0, 1.0) if twin is None else quaternion(*twin.imu.rpy)
+        self._unmount = -x, -y, -z, w
         # a tilt that the twin simulates is expected in the measured signals
         turned = twin is not None and SensorCorrection.of_twin(twin).turn is not None
         self._silent = (*_COUNTED, *(("tilted",) if turned else ()))
         self._ingest = self.twin.ingest = ingest_stage(twin, _settings(self.values))
         self._counted.clear()
+
+    def stop(self) -> None:
+        """See the base class."""
+        self.twin.ingest = None
 
     def reset(self) -> None:
         """See the base class."""
@@ -152,12 +171,26 @@ class ImuIngestNode(TwinNode):
                 "imu/data_raw",
                 "message dropped: no linear_acceleration (linear_acceleration_covariance[0] is -1)",
             )
+        self._orient(message, ns)
         a, w = message.linear_acceleration, message.angular_velocity
         update = self.twin.push_imu(ns / 1e9, (a.x, a.y, a.z), (w.x, w.y, w.z))
         if update is not None:
             for take in self.outlets:
                 take(update, ns)
             self.outbox.later(self.twin.rest)
+
+    def _orient(self, message: Imu, ns: int) -> None:
+        """Give ``imu/data`` the sensor's orientation, as that of ``base_link``, where its covariance says that it has
+        one: REP-145 has zeros for an unknown covariance, -1 for no orientation."""
+        out, covariance = self._data, message.orientation_covariance
+        if not (covariance[0] >= 0.0 and covariance[8] > 0.0 and is_rotation(message.orientation)):
+            out.orientation_covariance[0] = -1.0
+            return
+        q, turned = message.orientation, out.orientation
+        turned.x, turned.y, turned.z, turned.w = quaternion_product((q.x, q.y, q.z, q.w), self._unmount)
+        out.orientation_covariance[:] = covariance
+        for take in self.oriented:
+            take(out, ns / 1e9)
 
     def publish(self, update: Update, ns: int) -> None:
         """Publish the filtered sample."""
@@ -179,10 +212,22 @@ class ImuIngestNode(TwinNode):
 
     def report(self) -> None:
         """See the base class."""
+        super().report()
         ingest, values = self._ingest, self.health.values
         values[LOW_PASS] = low_pass_text(self.values)
         self.show_findings(f for f in ingest.findings if f.code not in self._silent)
         self.note_counts(ingest.counts, _COUNTED)
+        raw, rate = self.inputs["imu/data_raw"].state, ingest.rate or math.nan
+        usual, steady = _LEAST <= rate <= _MOST, raw.jitter <= _JITTER * raw.interval
+        level = STALE if math.isnan(rate) else OK if usual else WARN
+        text = (
+            "not known yet"
+            if math.isnan(rate)
+            else f"{rate:.1f} Hz" + ("" if usual else ", 50 to 1600 are usual")
+        )
+        self.health.thing("rate", level, text, raw.frame, rate_Hz=rate)
+        text = f"stamps lie {1e3 * raw.jitter:.2g} ms from even ones"
+        self.health.thing("stamp jitter", OK if steady else WARN, text, raw.frame, jitter_ms=1e3 * raw.jitter)
         values["sample rate (Hz)"] = f"{ingest.rate:.2f}" if ingest.rate else "not known yet"
         values["vehicle standing"] = str(ingest.standing)
         values["IMU samples"] = str(ingest.counts["samples"])

@@ -26,6 +26,7 @@ __all__ = [
     "fill_imu",
     "fill_odometry",
     "fill_velocity",
+    "is_rotation",
     "put_stamp",
     "read_fix",
     "read_imu",
@@ -49,6 +50,11 @@ def put_stamp(header: Header, ns: int) -> None:
 def yaw_of(q: Quaternion) -> float:
     """Yaw in rad of a quaternion."""
     return math.atan2(2.0 * (q.w * q.z + q.x * q.y), q.w * q.w + q.x * q.x - q.y * q.y - q.z * q.z)
+
+
+def is_rotation(q: Quaternion) -> bool:
+    """Whether a quaternion is normalised."""
+    return bool(abs(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w - 1.0) < 0.02)
 
 
 def sigmas_of(fix: NavSatFix) -> tuple[float, float]:

@@ -47,8 +47,8 @@ class BagPlayer(Node):  # type: ignore[misc]
 
     ``rate`` times real time; ``math.inf`` as fast as the linked nodes take the messages and other
     subscribers acknowledge them, so that nothing is lost. With ``loop`` it begins again at the end,
-    and time jumps back. The first message is sent after ``delay`` s, in which subscribers connect. With ``stay`` the
-    player waits at the end to be sent back.
+    and time jumps back. The first message is sent after ``delay`` s, in which subscribers connect, or as soon as
+    ``paused`` is set to false. With ``stay`` the player waits at the end to be sent back.
 
     While it plays it is led by its parameters: ``rate``, ``paused``, and ``seek``, which goes to a position in s. It
     reports its position on ``/diagnostics``.
@@ -74,6 +74,7 @@ class BagPlayer(Node):  # type: ignore[misc]
         self.paused = False
         #: Whether it waits at the end.
         self.ended = False
+        #: How often it has begun anew.
         self.loops = 0
         self.done = False
         #: Further publishers whose subscribers are waited for at full speed.
@@ -93,7 +94,6 @@ class BagPlayer(Node):  # type: ignore[misc]
         self._when = np.maximum.accumulate(self._ns)
         self.start = int(self._ns[0])
         self.end = int(self._ns[-1])
-        self._stopped_at = 0.0
         self.reset(delay)
         self._declare()
 
@@ -120,11 +120,13 @@ class BagPlayer(Node):  # type: ignore[misc]
             "rate": f"{self.rate:g}",
             "paused": str(self.paused),
             "ended": str(self.ended),
+            "waiting": str(self.waiting),
         }
+        resting = {"paused": self.paused, "at the end": self.ended, "waiting to be started": self.waiting}
         status = DiagnosticStatus(
             name=self.get_fully_qualified_name().lstrip("/"),
             hardware_id="suspension_twin",
-            message="paused" if self.paused else "at the end" if self.ended else "playing",
+            message=next((words for words, holds in resting.items() if holds), "playing"),
             values=[KeyValue(key=k, value=v) for k, v in values.items()],
         )
         message = DiagnosticArray(status=[status])
@@ -147,10 +149,10 @@ class BagPlayer(Node):  # type: ignore[misc]
         self._go_on_from(self.position)
 
     def pause(self, paused: bool) -> None:
-        """Rest, or go on."""
+        """Rest, or go on; begin now where it waits to begin."""
         if paused and not self.paused:
             self._stopped_at = self.position
-        elif self.paused and not paused:
+        elif not paused and (self.paused or self.waiting):
             self._go_on_from(self._stopped_at)
         self.paused = paused
 
@@ -171,9 +173,20 @@ class BagPlayer(Node):  # type: ignore[misc]
     def reset(self, delay: float = 0.0) -> None:
         """Back to the beginning, which is ``delay`` s from now."""
         self._next = 0
+        self._stopped_at = 0.0
         self._began = time.monotonic() + delay
         self._clock_due = 0.0
         self._unacknowledged = 0
+
+    @property
+    def waiting(self) -> bool:
+        """Whether it has not begun yet."""
+        return self._next == 0 and not self.paused and time.monotonic() < self._began
+
+    @property
+    def resting(self) -> bool:
+        """Whether it stands, and ``/clock`` with it."""
+        return self.paused or self.ended or self.waiting
 
     @property
     def position(self) -> float:
@@ -241,8 +254,8 @@ class BagPlayer(Node):  # type: ignore[misc]
     def _end(self) -> None:
         self._send_clock(time.monotonic(), force=True)
         self.settle(1.0)
-        self.loops += 1
         if self.loop:
+            self.loops += 1
             self.reset()
         elif self.stay:
             self.ended = True

@@ -16,8 +16,8 @@ from sensor_msgs.msg import Imu, NavSatFix
 from suspension_twin.errors import InputError
 from suspension_twin.live.felt import FeltSettings, felt_stage
 from suspension_twin.live.twin import Update, compile_stages, delay_of, lock_stage
-from suspension_twin.nodes.base import TwinNode
-from suspension_twin.nodes.messages import fill_odometry, put_stamp, sigmas_of, yaw_of
+from suspension_twin.nodes.lifecycle import ManagedNode
+from suspension_twin.nodes.messages import fill_odometry, is_rotation, put_stamp, sigmas_of, yaw_of
 from suspension_twin.nodes.parameters import (
     FILTER,
     FOLDERS,
@@ -29,7 +29,9 @@ from suspension_twin.nodes.parameters import (
     low_pass_text,
     twin_of,
 )
-from suspension_twin.nodes.topics import Embedding
+from suspension_twin.nodes.pose_inputs import INPUTS, PoseInputs
+from suspension_twin.nodes.topics import OK, STALE, WARN, Embedding
+from suspension_twin.pose.lock import LATE
 from suspension_twin.pose.types import PoseSettings
 from suspension_twin.vehicle.twin import Datum
 from suspension_twin_interfaces.srv import SetDatum
@@ -62,8 +64,8 @@ _SETTINGS = (
 )
 
 
-class PoseInjectorNode(TwinNode):
-    """``fix``, ``vel``, ``heading`` and ``imu/data`` in; the locked planar pose out."""
+class PoseInjectorNode(ManagedNode):
+    """``fix``, ``vel``, ``heading`` (or poses of another program) and ``imu/data`` in; the locked planar pose out."""
 
     parameters = (
         TWIN,
@@ -109,6 +111,7 @@ class PoseInjectorNode(TwinNode):
             0.01,
             50.0,
         ),
+        *INPUTS,
     )
 
     def __init__(self, embedding: Embedding | None = None) -> None:
@@ -119,46 +122,61 @@ class PoseInjectorNode(TwinNode):
         for free in (14, 21, 28):  # z, roll and pitch are not estimated here
             self._odom.pose.covariance[free] = 1.0e6
         self._out = self.offer(Odometry, "twin/odom")
-        self.start()
         self.listen(Imu, "imu/data", self._on_imu)
         self.listen(NavSatFix, "fix", self._on_fix)
         self.listen(TwistStamped, "vel", self._on_velocity)
         self.listen(QuaternionStamped, "heading", self._on_heading, expected=False)
+        self.others = PoseInputs(self, lambda: self._lock)
+        self._frame: str | None = None
+        self._lock = lock_stage(None, PoseSettings(), None)
+        self.others.configure(None)
+        if self.active:
+            self.start()
         self.create_service(SetDatum, "~/set_datum", self._set_datum)
 
     def check(self, values: Values) -> None:
         """See the base class."""
         twin_of(values)
         _settings(values)
+        if len(values["origin"]) != 3:
+            raise InputError("origin", f"must be x and y in m and a yaw in rad, is {values['origin']}")
 
     def start(self) -> None:
         """See the base class."""
         twin = twin_of(self.values)
         self._frame = None if twin is None else twin.gps.frame
+        self.others.configure(twin)
         self._lock = self.twin.lock = lock_stage(twin, _settings(self.values), _datum(self.values))
         felt = felt_stage(twin, FeltSettings(self.values["felt_rate"], filter_of(self.values)))
         self.twin.felt = felt if self.values["felt_position"] == "auto" else None
         self._counted.clear()
+
+    def stop(self) -> None:
+        """See the base class."""
+        self.twin.lock = self.twin.felt = None
 
     def reset(self) -> None:
         """See the base class. A datum that was set stays."""
         self._lock.reset()
         if self.twin.felt is not None:
             self.twin.felt.reset()
+        self.others.reset()
         self._counted.clear()
 
     def _on_imu(self, message: Imu, ns: int) -> None:
         a, w = message.linear_acceleration, message.angular_velocity
         if not math.isfinite(a.x + a.y + a.z + w.x + w.y + w.z):
             raise InputError("imu/data", "message dropped: a value is not finite")
+        self.others.on_orientation(message, ns / 1e9)
         pose = self.twin.locate(ns / 1e9, (a.x, a.y, a.z), (w.x, w.y, w.z))
         self.publish(Update(None, pose), ns)
         self.outbox.later(self.twin.rest)
 
     def take(self, update: Update, ns: int) -> None:
         """Publish what the twin makes of a sample that has gone through all stages in this process."""
-        self.inputs["imu/data"].arrived(ns)
-        self.publish(update, ns)
+        if self.active:
+            self.inputs["imu/data"].arrived(ns)
+            self.publish(update, ns)
 
     def publish(self, update: Update, ns: int) -> None:
         """Publish the locked pose."""
@@ -173,20 +191,24 @@ class PoseInjectorNode(TwinNode):
         # Not set (-2 in Jazzy) is not the same as no fix (-1): the position is there.
         status = 0 if message.status.status < -1 else message.status.status
         place = message.latitude, message.longitude, message.altitude
-        if not self.twin.is_held(ns / 1e9, *place[:2], status):
+        held = self.twin.is_held(ns / 1e9, *place[:2], status)
+        if not held and self.others.allows("position", "fix", ns / 1e9):
             self._lock.on_fix(ns / 1e9, *place, status, *sigmas_of(message))
 
     def _on_velocity(self, message: TwistStamped, ns: int) -> None:
-        self.twin.take_velocity(ns / 1e9, message.twist.linear.x, message.twist.linear.y)
+        if self.others.allows("velocity", "vel", ns / 1e9):
+            self.twin.take_velocity(ns / 1e9, message.twist.linear.x, message.twist.linear.y)
 
     def _on_heading(self, message: QuaternionStamped, ns: int) -> None:
-        q = message.quaternion
-        norm = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w
-        if not abs(norm - 1.0) < 0.02:
+        if not is_rotation(message.quaternion):
             raise InputError("heading", "message dropped: the quaternion is not normalised")
-        self._lock.on_heading(ns / 1e9, yaw_of(q))
+        if self.others.allows("heading", "heading", ns / 1e9):
+            self._lock.on_heading(ns / 1e9, yaw_of(message.quaternion))
 
     def _set_datum(self, request: SetDatum.Request, response: SetDatum.Response) -> SetDatum.Response:
+        if not self.active:
+            response.success, response.message = False, "the node is not active"
+            return response
         try:
             datum = Datum(latitude=request.latitude, longitude=request.longitude, altitude=request.altitude)
         except ValidationError as error:
@@ -205,20 +227,30 @@ class PoseInjectorNode(TwinNode):
 
     def report(self) -> None:
         """See the base class."""
+        super().report()
         lock, values = self._lock, self.health.values
         values[LOW_PASS] = low_pass_text(self.values)
         self.show_findings(f for f in lock.findings if f.code not in (*_COUNTED, "no_imu"))
         self.note_counts(lock.counts, _COUNTED)
         values["latency of fixes (s)"] = f"{lock.latency:.3f}"
         values["age of last fix (s)"] = f"{lock.fix_age:.2f}"
+        self.others.report(values)
         values["yaw known"] = str(lock.aligned)
         values["vehicle standing"] = str(lock.standing)
         datum, shown = lock.datum, "not known"
         if datum is not None:
             shown = f"{datum.latitude:.8f}° {datum.longitude:.8f}° {datum.altitude:.3f} m"
         values["datum"] = shown
+        level = STALE if math.isnan(lock.latency) else OK if lock.latency <= LATE else WARN
+        text = (
+            "no position yet" if level == STALE else f"positions come {lock.latency:.3f} s after their stamps"
+        )
+        frame = self.inputs["fix"].state.frame
+        self.health.thing("latency", level, text, frame, latency_s=lock.latency, age_s=lock.fix_age)
+        self.health.thing("datum", OK if datum is not None else STALE, shown)
         if self.twin.felt is not None:
             values["felt place"] = self.twin.felt.condition()
+            self.health.thing("felt place", OK, values["felt place"])
 
 
 def _settings(values: Values) -> PoseSettings:

@@ -17,19 +17,21 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.logging_severity import LoggingSeverity
 from rclpy.logging import set_logger_level
-from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from suspension_twin.errors import InputError, SuspensionTwinError
 from suspension_twin.nodes.topics import Embedding
+
+if TYPE_CHECKING:
+    from suspension_twin.nodes.base import TwinNode
 
 __all__ = ["WAIT", "Stop", "check_arguments", "events_executor", "ros_context", "run_alone", "stopping"]
 
@@ -180,7 +182,7 @@ def events_executor(context: Context) -> Executor:
 
 
 def run_alone(
-    make: Callable[[Embedding], Node],
+    make: Callable[[Embedding], TwinNode],
     args: list[str] | None = None,
     events: bool = False,
 ) -> int:
@@ -195,6 +197,7 @@ def run_alone(
         check_arguments(arguments[1:])
         with stopping(interrupts=not events) as stop, ros_context(arguments) as context:
             node = make(Embedding(context=context))
+            node.bring_up()
             executor = events_executor(context) if events else SingleThreadedExecutor(context=context)
             executor.add_node(node)
             try:

@@ -7,6 +7,7 @@ The vehicle model is :class:`~suspension_twin.models.live.LiveTwin`.
 from __future__ import annotations
 
 import math
+import time
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -17,9 +18,9 @@ from std_srvs.srv import Trigger
 
 from suspension_twin.errors import InputError
 from suspension_twin.live.follow import BodyAcceleration, Follower, FollowSettings, Pairing
-from suspension_twin.live.gap import GapNow, calibration_gap
-from suspension_twin.live.twin import Update, compile_stages
-from suspension_twin.nodes.base import TwinNode
+from suspension_twin.live.gap import GapNow, calibration_gap, gap_warning
+from suspension_twin.live.twin import Update, compile_stages, delay_of
+from suspension_twin.nodes.lifecycle import ManagedNode
 from suspension_twin.nodes.messages import read_odometry
 from suspension_twin.nodes.parameters import (
     FILTER,
@@ -32,15 +33,24 @@ from suspension_twin.nodes.parameters import (
     low_pass_text,
     twin_of,
 )
-from suspension_twin.nodes.topics import ERROR, OK, WARN, Embedding
+from suspension_twin.nodes.topics import ERROR, OK, STALE, WARN, Embedding
 from suspension_twin.nodes.twin_outputs import TwinOutputs
 from suspension_twin.pose.lock import PlanarState
+from suspension_twin.vehicle.twin import Twin
 from suspension_twin_interfaces.srv import LoadTwin
 
-__all__ = ["SuspensionModelNode"]
+__all__ = ["WHOLE_GAP", "SuspensionModelNode"]
 
+#: Key of the gap over all driving in the diagnostics.
+WHOLE_GAP = "live gap over all driving, rms (m/s²)"
+
+NO_TWIN = "no twin loaded: set the parameter twin or call ~/load_twin"
 #: The nodes whose low-pass has to be that of this one.
 FILTERING = ("imu_ingest", "pose_injector")
+#: Samples over which their age is averaged.
+_AGES = 50
+#: Times the noise at standstill below which the gap says nothing of the suspension.
+_EXCITED = 3.0
 _HARDEST = 1e5  # m/s², more than any vehicle's body
 GAP = (
     Param("gap.window", 10.0, "Sliding window of the live gap in s.", 0.5, 600.0),
@@ -71,7 +81,7 @@ GAP = (
 )
 
 
-class SuspensionModelNode(TwinNode):
+class SuspensionModelNode(ManagedNode):
     """``twin/odom`` and ``imu/vertical_acceleration`` in; the twin's motion, signals and gap out."""
 
     parameters = (
@@ -102,12 +112,18 @@ class SuspensionModelNode(TwinNode):
         self._prepared: Follower | None = None
         self._programs: tuple[Path, ...] | None = None  # any, while the node is started
         super().__init__("suspension_model", embedding)
-        program = None if self._prepared is None else self._prepared.twin.program
+        named = _named(self.values)
+        program = None if named is None else named.program
         self._programs = () if program is None else (program,)
         compile_stages()
         self._pairing = Pairing()
+        #: Mean age in ns of the samples by their stamps, when they have been answered.
+        self._age = 0.0
         self._out = TwinOutputs(self, self.values["map_frame"], self.values["base_frame"])
-        self.start()
+        self._follower: Follower | None = None
+        self._out.configure(None, self.values["visual_rate"], self.values["gap.rate"])
+        if self.active:
+            self.start()
         self.listen(Odometry, "twin/odom", self._on_odom)
         self.listen(AccelStamped, "imu/vertical_acceleration", self._on_vertical)
         # All twins write to this topic: of many in one process, each gets the status of its own nodes alone.
@@ -134,14 +150,21 @@ class SuspensionModelNode(TwinNode):
         follower = self._follower = self.twin.follower = self._prepared
         self._out.configure(follower, values["visual_rate"], values["gap.rate"])
         if follower is None:
-            text = "no twin loaded: set the parameter twin or call ~/load_twin"
             if "no twin" not in self.health.findings:
-                self.say(WARN, text)
-            self.health.findings["no twin"] = WARN, text
+                self.say(WARN, NO_TWIN)
+            self.health.findings["no twin"] = WARN, NO_TWIN
         else:
             follower.configure(_settings(values))
             self.health.findings.pop("no twin", None)
         self.reset()
+
+    def lacks(self) -> str:
+        """See the base class."""
+        return "" if self._prepared else NO_TWIN
+
+    def stop(self) -> None:
+        """See the base class."""
+        self.twin.follower = self._follower = None
 
     def reset(self) -> None:
         """See the base class: the twin is back in static equilibrium."""
@@ -171,6 +194,8 @@ class SuspensionModelNode(TwinNode):
 
     def take(self, update: Update, ns: int) -> None:
         """Publish what the twin makes of a sample that has gone through all stages in this process."""
+        if not self.active:
+            return
         self.inputs["imu/vertical_acceleration"].arrived(ns)
         if update.pose is not None:
             self.inputs["twin/odom"].arrived(ns)
@@ -185,6 +210,7 @@ class SuspensionModelNode(TwinNode):
             self._note_event(at.event)
         if not math.isnan(at.vertical_acceleration):
             self._out.send(at, follower, ns)
+            self._age += (time.time_ns() - ns - self._age) / _AGES
 
     def _note_event(self, event: str) -> None:
         kind = event.removeprefix("the ").partition(" ")[0].rstrip(":")
@@ -229,8 +255,8 @@ class SuspensionModelNode(TwinNode):
             self._find(f"low-pass of {name}", own is not None and other != own, text)
 
     def whole_gap(self) -> float:
-        """Rms of the gap in m/s² since the twin was loaded; NaN while nothing was simulated."""
-        return math.nan if self._follower is None else self._follower.gap.whole_rms
+        """The gap in m/s² over all driving on the road since the twin was loaded; NaN before."""
+        return math.nan if self._follower is None else self._follower.gap.driving_rms
 
     def gap_now(self) -> GapNow | None:
         """The live gap; None while the window holds fewer than two samples."""
@@ -238,6 +264,7 @@ class SuspensionModelNode(TwinNode):
 
     def report(self) -> None:
         """See the base class."""
+        super().report()
         lost = self._pairing.lost
         self._pairing.lost = 0
         if self._follower is not None:
@@ -248,9 +275,47 @@ class SuspensionModelNode(TwinNode):
         self.health.values[LOW_PASS] = low_pass_text(self.values)
         gap = self.gap_now()
         if gap is not None:
-            self.health.values["gap, rms (m/s²)"] = f"{gap.rms:.3f}"
-            self.health.values["gap, normalised"] = f"{gap.normalised:.2f}"
+            self.health.values["gap now, rms (m/s²)"] = f"{gap.rms:.3f}"
+            self.health.values["gap now, normalised"] = f"{gap.normalised:.2f}"
+            self.health.values[WHOLE_GAP] = f"{self.whole_gap():.3f}"
+        self._show_gap(gap)
+        self._show_latency()
         self.show_findings([] if self._follower is None else self._follower.findings)
+
+    def _show_gap(self, gap: GapNow | None) -> None:
+        """The gap and what excites the suspension, each with its own status."""
+        show = self.health.thing
+        if gap is None or self._follower is None:
+            for name in ("gap", "excitation"):
+                show(name, STALE, "nothing compared yet")
+            return
+        settings = self._follower.settings
+        grown = gap_warning(gap, settings.floor, settings.warn)
+        numbers = {"now": gap.rms, "over_all_driving": self.whole_gap(), "normalised": gap.normalised}
+        show("gap", WARN if grown else OK, grown or f"{gap} in the last {settings.window:g} s", **numbers)
+        quiet = gap.measured_rms < _EXCITED * gap.noise_rms
+        text = "hardly any: standing, or a smooth road" if quiet else f"{gap.measured_rms:.2f} m/s² measured"
+        show("excitation", OK, text, measured=gap.measured_rms, noise=gap.noise_rms)
+
+    def _show_latency(self) -> None:
+        """By how much the answers are behind the car, and why; in a replay the age of a stamp means nothing."""
+        if self._follower is None or not self._age or self.simulated_time:
+            return
+        delay, late = 1e3 * delay_of(filter_of(self.values)), 1e3 * self._follower.twin.imu.latency
+        age = self._age / 1e6
+        text = (
+            f"{age + delay + late:.1f} ms behind the car: {age:.1f} ms from a sample's stamp to its answer, "
+            f"{delay:.1f} ms by the low-pass, {late:.1f} ms by the sensor (imu.latency)"
+        )
+        self.health.thing("latency", OK, text, age_ms=age, low_pass_ms=delay, sensor_ms=late)
+
+
+def _named(values: Values) -> Twin | None:
+    """The twin that was named when the node was started; None where it cannot be read, which is said later."""
+    try:
+        return twin_of(values)
+    except InputError:
+        return None
 
 
 def _settings(values: Values) -> FollowSettings:

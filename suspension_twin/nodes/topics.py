@@ -39,6 +39,7 @@ __all__ = [
     "NS",
     "OK",
     "SENSOR_QOS",
+    "STALE",
     "STREAM_QOS",
     "WARN",
     "Embedding",
@@ -50,7 +51,14 @@ __all__ = [
     "type_name",
 ]
 
-OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+OK, WARN, ERROR, STALE = (
+    DiagnosticStatus.OK,
+    DiagnosticStatus.WARN,
+    DiagnosticStatus.ERROR,
+    DiagnosticStatus.STALE,
+)
+#: Messages over which the interval of the stamps and its deviation are averaged.
+_INTERVALS = 50
 #: Nanoseconds in a second.
 NS = 1_000_000_000
 #: As qos_profile_sensor_data, with a queue that covers a pause of the process of 0.6 s at 1.6 kHz.
@@ -182,7 +190,8 @@ class Embedding:
 @dataclass
 class InputState:
     """Statistics of one subscribed topic: ``rate`` Hz, ``silent_for`` s since the last message. A warning is
-    given for a silent topic if it is ``expected``; ``why`` is the reason, if known."""
+    given for a silent topic if it is ``expected``; ``why`` is the reason, if known. ``frame`` is that of the newest
+    message; ``interval`` s between stamps and ``jitter`` s, their mean deviation from it, 0 while not known."""
 
     topic: str
     expected: bool
@@ -194,6 +203,16 @@ class InputState:
 
     def __post_init__(self) -> None:
         self._counted, self._last = 0, math.nan
+        self.frame, self.interval, self.jitter = "", 0.0, 0.0
+
+    def stamped(self, seconds: float) -> None:
+        """A stamp so many seconds after the newest one before it."""
+        if not 0.0 < seconds < 1.0:
+            return
+        if not self.interval:
+            self.interval = seconds
+        self.interval += (seconds - self.interval) / _INTERVALS
+        self.jitter += (abs(seconds - self.interval) - self.jitter) / _INTERVALS
 
     def measure(self, now: float, interval: float) -> None:
         """Update ``silent_for`` at ``now`` s and ``rate`` over the last ``interval`` s."""
@@ -270,6 +289,8 @@ class Input:
     def deliver(self, message: Message) -> None:
         """Call the handler with ``message`` and its stamp in ns; never raises because of a message."""
         node, topic = self._node, self.state.topic
+        if not node.active:
+            return
         self.state.received += 1
         self._outbox.enter()
         try:
@@ -279,7 +300,9 @@ class Input:
                 raise InputError(topic, "message dropped: header.stamp is zero")
             if ns < self.newest - node.jump_back_ns:
                 node.reset_to(f"the stamps of {topic} jumped back by {(self.newest - ns) / NS:.1f} s", ns)
+            self.state.frame = message.header.frame_id
             if ns > self.newest:
+                self.state.stamped((ns - self.newest) / NS)
                 self.newest = ns
             self._handler(message, ns)
         except InputError as error:

@@ -131,6 +131,7 @@ class VelocityNoise:
             self.sigma = min(max(sigma, self._least), _LARGEST * self._least)
 
 
+LATE = 0.5  # s from its stamp to its arrival, from which a fix is late
 AHEAD = 5.0  # s that a fix may be ahead of the IMU and still wait for it
 PAUSE = 60.0  # s after which nothing is left of the pose
 MAX_FORCE, MAX_TURN = 2000.0, 200.0  # m/s² and rad/s that no sensor of a vehicle sends
@@ -289,7 +290,7 @@ class PoseLock:
         ):
             if self.counts[count]:
                 found.append(Finding("warn", code, f"{self.counts[count]} {text}"))
-        if self._fix_latency > 0.5:
+        if self._fix_latency > LATE:
             found.append(
                 Finding("warn", "latency", f"fixes come {self._fix_latency:.2f} s after their stamps")
             )
@@ -365,6 +366,13 @@ class PoseLock:
             self._map = LocalMap(Datum(latitude=latitude, longitude=longitude, altitude=height))
         height = altitude if math.isfinite(altitude) else self._map.datum.altitude
         east, north, _ = (float(c) for c in self._map.to_map(latitude, longitude, height))
+        self.on_position(t, east, north, sigma)
+
+    def on_position(self, t: float, east: float, north: float, sigma: float) -> None:
+        """One position of the antenna in ``map`` in m, with a standard deviation of ``sigma`` m."""
+        if not all(map(math.isfinite, (t, east, north, sigma))):
+            self.counts["unusable"] += 1
+            return
         if self._history.head >= 0:
             age = self._now() - t
             self._fix_latency = (
@@ -382,12 +390,12 @@ class PoseLock:
             return
         self._arrive(t - self.lateness, ekf.VELOCITY, (east, north, self._noise.sigma))
 
-    def on_heading(self, t: float, yaw: float) -> None:
-        """One heading: yaw of ``base_link`` in ``map`` in rad."""
+    def on_heading(self, t: float, yaw: float, sigma: float = 0.0) -> None:
+        """One heading: yaw of ``base_link`` in ``map`` in rad, with its standard deviation, 0 where it is not known."""
         if not (math.isfinite(t) and math.isfinite(yaw)):
             self.counts["unusable"] += 1
             return
-        self._arrive(t, ekf.HEADING, (yaw, 0.0, self.settings.heading_sigma))
+        self._arrive(t, ekf.HEADING, (yaw, 0.0, sigma or self.settings.heading_sigma))
 
     # -- what it does -------------------------------------------------------------------------
 

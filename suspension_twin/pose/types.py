@@ -16,6 +16,7 @@ __all__ = [
     "REVERSE_SPEED",
     "REVERSE_TIME",
     "SLOPE_TIME",
+    "STANDING_SPEED",
     "SWAY_SIGMA",
     "VELOCITY_SHARE",
     "PoseSettings",
@@ -79,6 +80,8 @@ NO_FIX = -1  # sensor_msgs/NavSatStatus
 
 #: m/s and s: nothing on the road reverses this fast for this long. What pulls backwards then is a sensor that faces so.
 REVERSE_SPEED, REVERSE_TIME = 4.0, 3.0
+#: Speed in m/s below which a vehicle counts as standing: what receivers at rest give, with a margin.
+STANDING_SPEED = 0.1
 SLOPE_TIME = 5.0  # s; what tilts the vehicle for longer is a slope, not a sway
 #: Prior of the share of the antenna's sway: 1 with this standard deviation.
 SWAY_SIGMA = 0.3

@@ -22,6 +22,7 @@ __all__ = [
     "matrix_rpy",
     "normal_gravity",
     "quaternion",
+    "quaternion_product",
     "rpy_matrix",
     "smooth_up",
     "tilt_of",
@@ -40,6 +41,18 @@ def normal_gravity(latitude: float | None, height: float = 0.0) -> float:
     s2 = math.sin(math.radians(latitude)) ** 2
     surface = 9.7803253359 * (1 + 0.00193185265241 * s2) / math.sqrt(1 - 0.00669437999014 * s2)
     return surface - 3.086e-6 * height
+
+
+def quaternion_product(p: Quaternion, q: Quaternion) -> Quaternion:
+    """The rotation ``q`` followed by ``p``."""
+    px, py, pz, pw = p
+    qx, qy, qz, qw = q
+    return (
+        pw * qx + px * qw + py * qz - pz * qy,
+        pw * qy - px * qz + py * qw + pz * qx,
+        pw * qz + px * qy - py * qx + pz * qw,
+        pw * qw - px * qx - py * qy - pz * qz,
+    )
 
 
 def rpy_matrix(rpy: tuple[float, float, float]) -> Floats:

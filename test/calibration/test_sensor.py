@@ -83,6 +83,8 @@ def test_the_gap_after_is_that_of_the_twin_as_it_is_written(
     again = simulate_drive(read_drive(late_case.folder / "learnt"), result.twin).gap
     assert fit.gap_after.rms == pytest.approx(again.rms, rel=1e-3)
     assert fit.gap_after.rms < 1.1 * fit.nuisance_free
+    before = simulate_drive(read_drive(late_case.folder / "learnt"), late_case.start).gap
+    assert fit.gap_before.rms == pytest.approx(before.rms, rel=1e-3)
 
 
 def test_a_sensor_that_is_to_be_kept_is_kept(late_case: Any, result: CalibrationResult) -> None:

@@ -9,6 +9,7 @@ import sys
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -150,12 +151,19 @@ def test_a_replay_without_heading_or_motion_is_not_compared():
     t = np.arange(0.0, 10.0, 0.01)
     rows = [t, t, 0 * t, 0 * t, np.ones_like(t), np.full_like(t, 0.01)]
     replay = Replay(t, np.sin(t), 0 * t, np.column_stack(rows), np.empty((0, 2)), 1.0)
-    outcome = _outcome("x", replay, flat_road())
-    assert outcome.rms == pytest.approx(np.sqrt(np.mean(np.sin(t[100:]) ** 2)))
+    seen = SimpleNamespace(driving=t > 5.0)
+    offline = SimpleNamespace(
+        gap=SimpleNamespace(rms=0.4),
+        measured={"vertical_acceleration": np.where(t > 5.0, 2.0, 0.0)},
+        observation=seen,
+    )
+    outcome = _outcome("x", replay, flat_road(), offline)
+    assert outcome.live == pytest.approx(np.sqrt(np.mean(np.sin(t[100:]) ** 2)))
+    assert (outcome.rms, outcome.measured_rms) == (0.4, 2.0)
     assert outcome.compared.sum() == 900
     rows[5] = np.full_like(t, np.inf)
     with pytest.raises(WorkError, match="heading"):
-        _outcome("x", replace(replay, path=np.column_stack(rows)), flat_road())
+        _outcome("x", replace(replay, path=np.column_stack(rows)), flat_road(), offline)
     rows[4], rows[5] = 0 * t, np.full_like(t, 0.01)
     with pytest.raises(WorkError, match="never moved"):
-        _outcome("x", replace(replay, path=np.column_stack(rows)), flat_road())
+        _outcome("x", replace(replay, path=np.column_stack(rows)), flat_road(), offline)

@@ -58,6 +58,9 @@ def test_friction_is_found_with_its_size_and_the_written_twin_closes_the_gap(
     result = diagnose(ask(case))
     document = result.document
     check(document)
+    gaps = [simulate_drive(read_drive(bag), load_twin(case[0])).gap for bag in case[1]]
+    seconds, squares = (np.array([getattr(g, name) for g in gaps]) for name in ("seconds", "mse"))
+    assert document["gap"]["rms"] == pytest.approx(np.sqrt(seconds @ squares / seconds.sum()), rel=5e-4)
     assert document["verdict"] == "effect", document["message"]
     assert document["combination"] == ["strut_friction"]
     lead = document["causes"][0]

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import runpy
@@ -17,6 +18,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+from catkin_pkg.changelog import Changelog, populate_changelog_from_rst
 from catkin_pkg.package import parse_package
 
 import suspension_twin
@@ -64,6 +66,30 @@ def test_one_version_everywhere(repository: Path, setup_arguments: dict[str, Any
     assert versions == {suspension_twin.__version__, setup_arguments["version"]}
     changes = (repository / "CHANGELOG.md").read_text(encoding="utf-8")
     assert f"\n## {suspension_twin.__version__}" in changes
+
+
+@pytest.mark.parametrize("folder", [Path("."), INTERFACES], ids=str)
+def test_the_changelog_is_in_catkins_form(folder: Path, repository: Path) -> None:
+    """With the heading that ``catkin_prepare_release`` puts in place of *Forthcoming*."""
+    package = parse_package(repository / folder)
+    text = (repository / folder / "CHANGELOG.rst").read_text(encoding="utf-8")
+    heading = f"{package.version} (2030-01-01)"
+    assert "\nForthcoming\n-----------\n" in text
+    released = text.replace("Forthcoming\n-----------", f"{heading}\n{'-' * len(heading)}")
+    changes = populate_changelog_from_rst(Changelog(package.name), released)
+    ((version, _, content),) = list(changes.foreach_version())
+    assert version == package.version and content
+    assert f"Changelog for package {package.name}\n" in text
+
+
+def test_the_container_does_the_steps_of_the_page(repository: Path) -> None:
+    """Its libraries are those of docs/apt.md, taken from the page itself."""
+    steps = (repository / ".devcontainer" / "Dockerfile").read_text(encoding="utf-8")
+    page = (repository / "docs" / "apt.md").read_text(encoding="utf-8")
+    assert "grep -h '^pip install' src/suspension_twin/docs/apt.md" in steps
+    assert len(re.findall(r"^pip install", page, re.MULTILINE)) == 1
+    opened = json.loads((repository / ".devcontainer" / "devcontainer.json").read_text(encoding="utf-8"))
+    assert (repository / ".devcontainer" / opened["build"]["dockerfile"]).is_file()
 
 
 def test_package_xml_depends_on_what_is_imported(repository: Path, imports: Imports) -> None:
@@ -254,7 +280,15 @@ def test_the_launch_file_makes_the_nodes(repository: Path, monkeypatch: pytest.M
     entities = launch["generate_launch_description"]().arguments[0]
 
     arguments = {e.arguments[0]: e.named for e in entities if isinstance(e, made["DeclareLaunchArgument"])}
-    assert set(arguments) == {"twin", "params", "use_sim_time", "namespace", "sources", "learn_road"}
+    assert set(arguments) == {
+        "twin",
+        "params",
+        "use_sim_time",
+        "namespace",
+        "autostart",
+        "sources",
+        "learn_road",
+    }
     assert all(a["description"] for a in arguments.values())
     assert "default_value" not in arguments["twin"]
     assert Path(arguments["params"]["default_value"]).is_file()
@@ -267,8 +301,8 @@ def test_the_launch_file_makes_the_nodes(repository: Path, monkeypatch: pytest.M
         file, values = node["parameters"]
         assert file.arguments == ("params",)
         types = {name: value.named["value_type"] for name, value in values.items()}
-        more = {"source": {"sources": str}, "road_learner": {"out": str}}.get(node["name"], {})
-        assert types == {"twin": str, "use_sim_time": bool} | more
+        more = {"source": {"sources": str}, "road_learner": {"out": str}}.get(node["name"])
+        assert types == {"twin": str, "use_sim_time": bool} | (more or {"autostart": bool})
         assert ("condition" in node) == bool(more)
 
 

@@ -83,6 +83,39 @@ def test_a_fresh_start_does_not_count_until_the_twin_has_settled():
     assert gap.now().rms == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("seconds", [0.5, 3.0, 10.0])
+@pytest.mark.parametrize("begin", [0.0, 4.7, 9.6, 9.9])
+def test_no_band_contradicts_the_whole_wherever_a_bump_lies_in_the_window(begin, seconds):
+    """The newest samples and the oldest of the window weigh as much as those between."""
+    t = T0 + np.arange(1003) / 100.0
+    bump = np.where(np.abs(t - T0 - begin - 0.1) < 0.1, 3.0 * np.sin(2 * np.pi * 5.0 * (t - T0)), 0.0)
+    gap = RunningGap(window=seconds, edges=(0.0, 3.0, 8.0, 20.0, 51.0))
+    run(gap, t, bump, 0.01 * np.cos(2 * np.pi * 1.0 * (t - T0)))
+    now = gap.now()
+    assert math.hypot(*now.bands) == pytest.approx(now.rms, rel=1e-9)
+    assert max(now.bands) <= now.rms * (1.0 + 1e-9)
+
+
+def test_the_gap_over_all_driving_leaves_out_standing_and_what_is_off_the_road():
+    t = T0 + np.arange(3000) / 100.0
+    size = np.select([t < T0 + 10.0, t < T0 + 20.0], [0.3, 2.0], 5.0)
+    gap = RunningGap(window=1.0)
+    assert math.isnan(gap.driving_rms)
+    for k, (a, b) in enumerate(zip(t.tolist(), size.tolist(), strict=True)):
+        gap.push(a, b, 0.0, 0.0 if k < 1000 else -8.0, on_road=k < 2000)
+    assert gap.driving_rms == pytest.approx(2.0) and gap.driving_since == t[1000]
+    gap.reset()
+    assert gap.driving_rms == pytest.approx(2.0), "a jump back in time ends the window, not the drive"
+
+
+def test_it_says_what_its_ratio_is_to():
+    known, unknown = RunningGap(floor=0.5), RunningGap()
+    for gap in (known, unknown):
+        run(gap, T0 + np.arange(600) / 100.0, np.tile([1.0, -1.0], 300), np.zeros(600), speed=0.0)
+    assert str(known.now()) == "1.00 m/s² (2.0 × calibrated)"
+    assert str(unknown.now()) == "1.00 m/s² (1.0 × noise)"
+
+
 def test_nothing_is_said_of_nothing():
     gap = RunningGap()
     assert gap.now() is None

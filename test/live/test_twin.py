@@ -14,6 +14,7 @@ from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive
 from suspension_twin.inference.simulated import SimulatedDrive, simulate_drive
 from suspension_twin.live.follow import FollowSettings
+from suspension_twin.live.gap import RunningGap
 from suspension_twin.live.twin import DigitalTwin, Update, digital_twin, lock_stage, replay
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.simulate import simulate_twin
@@ -34,6 +35,7 @@ class Case(NamedTuple):
     later: np.ndarray
     offline: SimulatedDrive
     kept: np.ndarray
+    gap: RunningGap
 
     def live(self, take) -> np.ndarray:
         """A value of every live answer."""
@@ -74,14 +76,24 @@ class Case(NamedTuple):
 def case(request) -> Case:
     bag = BAGS / request.param
     drive, twin = read_drive(bag), load_twin(bag / "twin.yaml")
-    updates = [u for u in replay(drive, digital_twin(twin)) if u.followed is not None]
+    live = digital_twin(twin)
+    updates = [u for u in replay(drive, live) if u.followed is not None]
     offline = simulate_drive(drive, twin)
     t = np.array([u.sample.t for u in updates])
     kept = np.searchsorted(offline.observation.signals.t, t - 1e-6)
     assert np.abs(offline.observation.signals.t[kept] - t).max() < 1e-6
     moving = np.array([abs(u.pose.motion.speed) > 0.5 for u in updates])
     later = t > t[np.flatnonzero(moving)[0]] + 2.0
-    return Case(twin, updates, later, offline, kept)
+    return Case(twin, updates, later, offline, kept, live.follower.gap)
+
+
+def test_the_live_gap_is_the_offline_one_once_settled(case):
+    """Without the first seconds, for which live there was no heading; errors of the live pose of some millimetres are
+    most of what is left, and the rougher the road the more (2.3 % on ``crg_road``)."""
+    assert case.gap.driving_rms == pytest.approx(
+        case.offline.gap_from(case.gap.driving_since).rms,
+        rel=0.025 if case.offline.name == "crg_road" else 0.02,
+    )
 
 
 EVERY = ("x", "y", "yaw", "velocity", "yaw_rate", "acceleration")

@@ -47,7 +47,9 @@ class Bench:
             places = Path(__file__).parents[2], tempfile.gettempdir()
             parameters = {"folders": os.pathsep.join(map(str, places)), **parameters}
         given = tuple(Parameter(k.replace("__", "."), value=v) for k, v in parameters.items())
-        return self.add(kind(Embedding(self.context, namespace, given), *args))
+        node = self.add(kind(Embedding(self.context, namespace, given), *args))
+        node.bring_up()
+        return node
 
     def until(
         self, condition: Callable[[], Any], what: str | Callable[[], str] = "", seconds: float = 20.0

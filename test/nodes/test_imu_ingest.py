@@ -204,7 +204,7 @@ def test_a_silent_topic_is_named_and_welcomed_back(bench):
 
     def silent() -> bool:
         status = latest("car/imu_ingest: imu/data_raw")
-        return status is not None and status.level == b"\x01" and "no message for" in status.message
+        return status is not None and status.level == b"\x03" and "no message for" in status.message
 
     bench.until(silent, "the word that imu/data_raw is silent")
     assert "no message on imu/data_raw for" in latest("car/imu_ingest").message

@@ -22,7 +22,8 @@ T0 = 1.7e9
 
 
 def drive_over(model, *, bad=(40.0, 45.0), gap=3.0, seconds=10.0, speed=8.0):
-    """Along x at ``speed``; the car feels what the twin says, and ``gap`` more where x is within ``bad``."""
+    """Along x at ``speed``; the car feels what the twin says, and where x is within ``bad`` an oscillation of 8 Hz and
+    ``gap`` rms more."""
     said = []
     model.outputs["twin/vertical_acceleration"].links.append(lambda m: said.append(m.accel.linear.z))
     odom, accel = Odometry(), AccelStamped()
@@ -33,7 +34,8 @@ def drive_over(model, *, bad=(40.0, 45.0), gap=3.0, seconds=10.0, speed=8.0):
         odom.pose.pose.position.x = x
         model.inputs["twin/odom"].deliver(odom)
         put_stamp(accel, t)
-        accel.accel.linear.z = gap * (-1) ** k if bad[0] <= x < bad[1] else 0.0
+        shake = math.sqrt(2.0) * gap * math.sin(2 * math.pi * 8.0 * k / 100)
+        accel.accel.linear.z = shake if bad[0] <= x < bad[1] else 0.0
         model.inputs["imu/vertical_acceleration"].deliver(accel)
     return said
 

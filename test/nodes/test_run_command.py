@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -20,11 +21,14 @@ from rich.console import Console
 from suspension_twin.addons.nodes.source import SourceNode
 from suspension_twin.cli._status import UpdatedLines, conclusion, line
 from suspension_twin.cli.main import main
+from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.write import write_drive
 from suspension_twin.errors import InputError
+from suspension_twin.inference.simulated import simulate_drive
 from suspension_twin.live.gap import GapNow
 from suspension_twin.nodes.composed import KINDS, Condition, Played
 from suspension_twin.nodes.parameters import check_names, read_param_file
+from suspension_twin.vehicle.twin import load_twin
 
 NODES = ("imu_ingest", "pose_injector", "suspension_model", "calibrator")
 
@@ -160,9 +164,14 @@ def test_a_recording_is_replayed_at_full_speed_to_its_end(recorded, twin_path, d
     process = start(run_command("--twin", twin_path, "--bag", recorded, "--rate", "max"))
     _, errors = process.communicate(timeout=120.0)
     assert process.returncode == 0, errors
-    answers, last = errors.strip().splitlines()[-2:]
+    answers, live, last = errors.strip().splitlines()[-3:]
     assert answers.startswith(f"{len(drive.imu) - 16} answers to {len(drive.imu)} IMU samples")
-    assert last.startswith("Gap over the whole drive: 0.")
+    assert "clock has not advanced" not in errors and "loop" not in errors
+    gap = simulate_drive(read_drive(recorded), load_twin(twin_path)).gap
+    assert last == f"Gap over all driving: {gap.rms:.3f} m/s² rms"
+    now, offline = map(float, re.findall(r"\d\.\d{3}", live))
+    # the true twin: live, the errors of the pose are most of its gap
+    assert live.startswith("Live gap since the twin settled: ") and 0.0 < offline < now < 2.0 * offline
 
 
 def test_at_full_speed_a_subscriber_gets_every_answer_and_does_not_hold_up_the_replay(
@@ -311,12 +320,12 @@ CONDITION = Condition(
 
 def test_the_status_line_says_where_it_is_and_what_is_wrong():
     text = line(CONDITION).plain
-    assert "12 of 45 s, round 2" in text and "imu 100, fix 10 Hz" in text
-    assert "gap 0.18 m/s² (2.7 ×)" in text and "imu_ingest: too loud (+1)" in text
+    assert "12 of 45 s, loop 2" in text and "imu 100, fix 10 Hz" in text
+    assert "gap now 0.18 m/s² (2.7 × noise)" in text and "imu_ingest: too loud (+1)" in text
     from dataclasses import replace
 
     live = line(replace(CONDITION, played=None, gap=None, complaints=[], rates={"imu": float("nan")})).plain
-    assert "of" not in live and "gap -" in live and "nan" not in live
+    assert "of" not in live and "gap now -" in live and "nan" not in live
 
 
 def test_the_status_line_fits_80_columns():
@@ -332,7 +341,9 @@ def test_the_status_line_fits_80_columns():
         )
         first, second = line(shown).plain.split("\n")
         assert len(first) <= 80 and "imu 1600" in first and "twin 1600" in first
-        assert (gap is None or f"gap {gap:.2f} m/s²" in first) and second.startswith("imu_ingest: too loud")
+        assert (gap is None or f"gap now {gap:.2f} m/s²" in first) and second.startswith(
+            "imu_ingest: too loud"
+        )
 
 
 @pytest.mark.parametrize("node", NODES)
@@ -369,7 +380,7 @@ def test_the_status_is_shown_on_a_terminal_and_in_a_log(terminal):
         lines.show(lambda: [line(CONDITION)])
         lines.conclude(conclusion(Fake(), 1.0))  # type: ignore[arg-type]
     shown = out.getvalue()
-    assert "gap 0.18" in shown and "484 answers to 500 IMU samples" in shown
+    assert "gap now 0.18" in shown and "484 answers to 500 IMU samples" in shown
     assert shown.count("too loud") == (2 if terminal else 1) or terminal
 
 

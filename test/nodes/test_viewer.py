@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import shutil
 import signal
@@ -14,7 +15,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from matplotlib.image import imread
 
 from suspension_twin.drive.read import read_drive
 
@@ -46,12 +49,15 @@ def running(twin_path, recorded, tmp_path_factory) -> Iterator[tuple[str, Path, 
     url = f"http://127.0.0.1:{port}/"
     assert process.stderr is not None
     try:
+        said = []
         for line in process.stderr:
-            if line.startswith(f"Watch on {url}?token="):
-                url = line.split()[-1]
+            said.append(line.strip())
+            if said[-1].startswith(f"Watch on {url}?token="):
+                url = said[-1].split()[-1]
                 break
         else:
             pytest.fail("the page was never announced")
+        assert "The replay begins with the first page that is opened, or in 20 s." in said
         yield url, folder, process.pid
         process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=10.0)
@@ -150,6 +156,39 @@ def lit(page: Any, canvas: str) -> int:
     )
 
 
+def painted(page: Any, element: str, *colours: str) -> int:
+    """Number of pixels of a screenshot of ``element`` in one of the page's ``colours``, or in a mixture of two that
+    follow each other."""
+    png = page.locator(element).screenshot()
+    seen = 255.0 * imread(io.BytesIO(png), format="png")[:, :, :3].reshape(-1, 1, 3)
+    code = "(name) => getComputedStyle(document.documentElement).getPropertyValue('--' + name).trim()"
+    wanted = np.array([[int(page.evaluate(code, c)[i : i + 2], 16) for i in (1, 3, 5)] for c in colours])
+    share = np.linspace(0.0, 1.0, 20)[:, None]
+    mixtures = [wanted[:1], *(a + share * (b - a) for a, b in zip(wanted, wanted[1:], strict=False))]
+    return int((np.abs(seen - np.concatenate(mixtures)).max(axis=2).min(axis=1) < 12.0).sum())
+
+
+def looks_right(page: Any) -> None:
+    """Both curves are to be seen, and the path in the colours of its gap, not in the grey of an unknown one."""
+    # the twin is the true one, and its curve lies on that of the car
+    assert painted(page, "#chart", "measured") > 40 and painted(page, "#chart", "simulated") > 150
+    coloured, grey = painted(page, "#map", "good", "fair", "bad"), painted(page, "#map", "road")
+    assert coloured > 400 and coloured > 5 * grey, f"{coloured} coloured and {grey} grey pixels"
+
+
+def test_the_replay_waits_for_its_page_and_looks_right_at_10_s_and_at_its_end(page):
+    """The first page of the program: nothing of the drive was played before it was opened."""
+    first = until(lambda: page.evaluate("twin.state.pose.length && twin.state.pose[0][0]"), "the first pose")
+    assert first < 1.0, f"{first} s of the drive were missed"
+    until(lambda: page.evaluate("twin.head.t") > 10.0 or page.inner_text("#pause") == "Again", "10 s")
+    looks_right(page)
+    until(lambda: page.inner_text("#pause") == "Again", "the end")
+    looks_right(page)
+    bands = "[...document.querySelectorAll('.band span:last-child')].map((e) => +e.textContent)"
+    assert np.hypot.reduce(page.evaluate(bands)) == pytest.approx(number(page, "#gap"), abs=0.012)
+    until(lambda: number(page, "#driven") > 0.0, "the gap over all driving")
+
+
 def test_it_shows_the_moving_twin(page):
     until(lambda: page.evaluate("twin.head.t") or 0.0 > 0, "samples")
     seek(page, 3.0)
@@ -162,7 +201,7 @@ def test_it_shows_the_moving_twin(page):
     assert len(page.query_selector_all("#travel > div")) == 4
     travels = "[...document.querySelectorAll('#travel b')].map((e) => e.textContent)"
     during(page, lambda: any(text.strip("–-−+0.") for text in page.evaluate(travels)), "a travel")
-    assert len(page.query_selector_all(".band")) == 3
+    assert len(page.query_selector_all(".band")) == 4  # the rest is the last
     during(page, lambda: page.evaluate("twin.state.path.length") > 20, "a path")
     for canvas in ("chart", "map"):
         during(page, lambda name=canvas: lit(page, name) > 3, f"a drawing in {canvas}")

@@ -328,7 +328,7 @@ def _gap_of(twin: Path) -> str:
 
 class ViewPlayer:
     """Known while it says how it is: ``state`` has length and position in s, times real time (None: full speed),
-    whether it is paused and has ended; None without one."""
+    whether it is paused, has ended, waits to begin; None without one."""
 
     def __init__(self, node: TwinNode, view: LiveView) -> None:
         self.state: Json | None = None
@@ -346,8 +346,15 @@ class ViewPlayer:
             "rate": rate if math.isfinite(rate) else None,
             "paused": values["paused"] == "True",
             "ended": values["ended"] == "True",
+            "waiting": values["waiting"] == "True",
         }
         self._view.update("player", self.state)
+
+    def begin(self) -> None:
+        """Begin now, if the replay waits for somebody to look on."""
+        if self.state is not None and self.state["waiting"] and self.client.service_is_ready():
+            self.state["waiting"] = False  # asked once for each report
+            self.set(paused=False)
 
     def forget(self, before: float) -> None:
         """It is gone where it was last heard of before that time."""

@@ -32,9 +32,10 @@ from suspension_twin.addons.view.live import LiveView, NodeStatus, advice
 from suspension_twin.addons.view.server import TOKEN_VARIABLE, Requests, Server
 from suspension_twin.errors import InputError, SuspensionTwinError
 from suspension_twin.inference.observation import road_of
-from suspension_twin.nodes.base import TwinNode
+from suspension_twin.nodes.base import HARDWARE, TwinNode
 from suspension_twin.nodes.messages import read_odometry
 from suspension_twin.nodes.parameters import FOLDERS, TWIN, Param, Values, twin_of
+from suspension_twin.nodes.suspension_model import WHOLE_GAP
 from suspension_twin.nodes.topics import NS, Embedding
 from suspension_twin.vehicle.twin import Twin
 from suspension_twin_interfaces.msg import Gap
@@ -185,13 +186,15 @@ class ViewerNode(TwinNode):
         own = self.get_namespace().strip("/")
         for status in message.status:
             name = status.name.removeprefix(f"{own}/") if own else status.name
-            if own and name == status.name and status.hardware_id == "suspension_twin":
+            if own and name == status.name and status.hardware_id.startswith(HARDWARE):
                 continue  # of another twin
             level = int.from_bytes(status.level, "little")
             values = {pair.key: pair.value for pair in status.values}
             if name == "bag_player":
                 self.player.show(values)
                 continue
+            if WHOLE_GAP in values:
+                self.view.update("driven", float(values[WHOLE_GAP]))
             self._seen[name] = now
             self.view.health(NodeStatus(name, level, status.message, values))
         for name, seen in list(self._seen.items()):
@@ -245,6 +248,8 @@ class ViewerNode(TwinNode):
         self.view.update("motion", self._motion)
         self.recorder.flush(now)
         self.guide.lead(now)
+        if self.server.watched:
+            self.player.begin()
         self.player.forget(now - _GONE)
         parent = self.values["parent"]
         if parent and os.getppid() != parent:

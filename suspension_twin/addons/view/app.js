@@ -69,6 +69,7 @@ function take(frame) {
   if (frame.events) state.events = frame.events;
   if (frame.spectrum) { state.spectrum = frame.spectrum; spectrumDue = true; }
   if (frame.gap) showGap(frame.gap);
+  if (frame.driven !== undefined) $("driven").textContent = frame.driven === null ? "–" : frame.driven.toFixed(3);
   if (frame.motion) showMotion(frame.motion);
   if (frame.health) showHealth(frame.health);
   if (frame.player !== undefined) showPlayer(frame.player);
@@ -198,8 +199,11 @@ function showGap(gap) {
   if (gap.normalised) parts.push(`${gap.normalised.toFixed(1)} × ${gap.calibrated ? "the calibration's residual" : "the noise"}`);
   $("times").textContent = parts.join(", ");
   const bands = $("bands"), most = Math.max(gap.rms, 1e-9);
-  while (bands.children.length > gap.bands.length) bands.lastChild.remove();
-  gap.bands.forEach(([low, high, rms], i) => {
+  const rest = Math.sqrt(Math.max(gap.rms ** 2 - gap.bands.reduce((sum, band) => sum + band[2] ** 2, 0), 0));
+  const rows = [...gap.bands.map(([low, high, rms]) => [`${low} to ${high} Hz`, rms]), ["other", rest]];
+  bands.title = "The squares of all rows add up to the square of the gap.";
+  while (bands.children.length > rows.length) bands.lastChild.remove();
+  rows.forEach(([label, rms], i) => {
     if (!bands.children[i]) {
       const row = document.createElement("div");
       row.className = "band";
@@ -207,7 +211,7 @@ function showGap(gap) {
       bands.append(row);
     }
     const [name, bar, value] = bands.children[i].children;
-    name.textContent = `${low} to ${high} Hz`;
+    name.textContent = label;
     bar.firstChild.style.width = `${Math.min((100 * rms) / most, 100)}%`;
     value.textContent = rms.toFixed(2);
   });
@@ -226,7 +230,9 @@ function showHealth(statuses) {
     const [name, input] = status.name.split(/:\s+/, 2);
     if (!groups.has(name)) groups.set(name, { level: 0, says: [], rates: [], rows: [] });
     const group = groups.get(name), rate = status.values["rate (Hz)"];
-    group.level = Math.max(group.level, status.level);
+    // a silent topic is stale, and a warning; a thing that is not known yet is neither
+    const level = status.level < 3 || !input ? status.level : status.values.messages === undefined ? 0 : 1;
+    group.level = Math.max(group.level, level);
     if (!input && status.level > 0) group.says.push([status.level, status.message]);
     if (input && rate !== undefined && status.values.messages !== "0") group.rates.push(`${input.replace("vertical_acceleration", "vertical")} ${rate === "" ? "–" : Math.round(+rate)}`);
     for (const [key, value] of Object.entries(status.values)) if (value !== "") group.rows.push([input ? `${input}: ${key}` : key, value]);
@@ -269,8 +275,8 @@ function showPlayer(player) {
   bar.max = player.duration;
   if (!dragging) bar.value = player.position;
   $("position").textContent = `${player.position.toFixed(1)} / ${player.duration.toFixed(1)} s`;
-  const resting = player.paused || player.ended;
-  $("pause").textContent = player.ended ? "Again" : player.paused ? "Play" : "Pause";
+  const resting = player.paused || player.ended || player.waiting;
+  $("pause").textContent = player.ended ? "Again" : player.waiting ? "Start" : player.paused ? "Play" : "Pause";
   $("pause").dataset.do = player.ended ? "again" : resting ? "play" : "pause";
   const pace = $("pace");
   if (document.activeElement !== pace && player.rate !== null) {

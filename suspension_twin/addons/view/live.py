@@ -31,6 +31,8 @@ _KEPT, _SPECTRUM, _SPECTRUM_EVERY = 12.0, 10.0, 1.0
 _SEGMENT, _HIGHEST = 4.0, 50.0
 #: A point of the path every so many m, and the number of points kept.
 _STEP, _POINTS = 0.5, 6000
+#: Samples that wait for their counterpart: 2.5 s at 1.6 kHz.
+_UNPAIRED = 4000
 #: Stamps that go back by more than this begin anew, in s: as the nodes reset.
 _BACK = 1.0
 _DAY = 86_400 * 10**9  # ns
@@ -82,7 +84,8 @@ class LiveView:
         }
         self._path: deque[list[float]] = deque(maxlen=_POINTS)
         self._events: list[dict[str, object]] = []
-        self._waiting: dict[int, float] = {}
+        #: By stamp, the signal that came first and its value.
+        self._unpaired: dict[int, tuple[str, float]] = {}
         self._squares, self._count, self._last_gap = 0.0, 0, -1.0
         self._spectrum_at = -math.inf
         self._spectrum: dict[str, list[float]] = {}
@@ -124,16 +127,13 @@ class LiveView:
     def measured(self, ns: int, value: float) -> None:
         """Measured vertical acceleration in m/s²."""
         if self._keep("measured", ns, [value]):
-            self._waiting[ns] = value
-            while len(self._waiting) > 4000:
-                del self._waiting[next(iter(self._waiting))]
+            self._pair("measured", ns, value)
 
     @_locked
     def simulated(self, ns: int, value: float) -> None:
         """Simulated vertical acceleration in m/s²."""
-        if self._keep("simulated", ns, [value]) and (measured := self._waiting.pop(ns, None)) is not None:
-            self._squares += (measured - value) ** 2
-            self._count += 1
+        if self._keep("simulated", ns, [value]):
+            self._pair("simulated", ns, value)
 
     @_locked
     def update(self, name: str, value: object) -> None:
@@ -215,6 +215,17 @@ class LiveView:
         if len(self._fresh[name]) > 20_000:  # nobody takes it
             del self._fresh[name][:10_000]
         return True
+
+    def _pair(self, name: str, ns: int, value: float) -> None:
+        """Compare the two signals of one stamp, whichever comes first."""
+        other, first = self._unpaired.pop(ns, (name, value))
+        if other != name:
+            self._squares += (first - value) ** 2
+            self._count += 1
+            return
+        self._unpaired[ns] = name, value
+        if len(self._unpaired) > _UNPAIRED:
+            del self._unpaired[next(iter(self._unpaired))]
 
     def _extend_path(self, place: Sequence[float]) -> None:
         x, y = place[:2]

@@ -205,6 +205,11 @@ class Server(Site):
         self._queues: set[asyncio.Queue[str]] = set()
         super().__init__(host=host, port=port, token=token)
 
+    @property
+    def watched(self) -> bool:
+        """Whether somebody looks on."""
+        return bool(self._queues)
+
     def _add_routes(self, app: web.Application) -> None:
         app.router.add_get("/ws", self._socket)
         app.router.add_get(r"/road/{column:-?\d{1,7}}/{row:-?\d{1,7}}", self._tile)

@@ -62,6 +62,21 @@ def test_the_path_has_the_gap_of_each_piece():
     assert np.sqrt(np.mean(second**2)) == pytest.approx(0.5 / math.sqrt(2), rel=0.1)
 
 
+@pytest.mark.parametrize("first", ["measured", "simulated"])
+def test_the_path_is_coloured_whichever_signal_comes_first(first):
+    """The simulated value of a stamp is published before the measured one."""
+    view = LiveView()
+    other = {"measured": "simulated", "simulated": "measured"}[first]
+    for k in range(400):
+        ns = START + k * 10**7
+        view.pose(ns, (0.05 * k, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+        getattr(view, first)(ns, 1.0)
+        getattr(view, first)(ns, 1.0)  # sent twice: no counterpart of itself
+        getattr(view, other)(ns, 0.6)
+    gaps = np.array(view.snapshot()["path"])[2:, 2]
+    assert len(gaps) > 30 and gaps == pytest.approx(0.4, abs=1e-6)
+
+
 def test_the_spectrum_has_the_power_of_the_signals_at_their_frequency():
     view = LiveView()
     fill(view, 11.0, difference=0.5)
