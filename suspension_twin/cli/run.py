@@ -261,7 +261,6 @@ def _run_command(
         delay = _DISCOVERY if display.view is None else _VIEWED
         playback = None if bag is None else _playback(bag, speed, replay.loop, delay)
         with ros_context(ros.arguments) as context:
-            beside = [path.absolute().parent for path in (twin, bag, live.learn_road) if path is not None]
             composed = Composed(
                 context,
                 twin,
@@ -269,7 +268,7 @@ def _run_command(
                 playback,
                 live.source or (),
                 live.learn_road,
-                folders=[Path.cwd(), *beside],
+                folders=[] if bag is None else [bag.absolute().parent],
             )
             try:
                 if ros.params is not None:

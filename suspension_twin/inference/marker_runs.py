@@ -43,8 +43,6 @@ _KINDS: Final = tuple(f"{motion}_{unit}" for motion, unit in zip(_MOTION, ("mm",
 _POSE_TYPE: Final = "geometry_msgs/msg/PoseStamped"
 #: Hz, cut-off of the low-pass of measured and simulated signals: accelerations by photogrammetry are noise above it.
 CUTOFF: Final = 6.0
-#: Bytes that a stamp of the grid takes: nine columns of motion, before and after the filter.
-_STAMP: Final = 144
 #: Least noise (standard deviation) of displacement m, velocity m/s and acceleration m/s² of A, B, C by photogrammetry.
 FLOORS: Final = np.repeat([SINGLE[f"marker_{kind}"] for kind in _MOTION], len(MARKERS))
 
@@ -182,7 +180,8 @@ def low_pass(motion: Floats, rate: float) -> Floats:
 def _resampled(
     t: Floats, motion: list[Floats], rate: float, speed: float, name: str, seen: tuple[bool, ...]
 ) -> MarkerRun:
-    Budget(name, t.nbytes).take(int(_STAMP * min(np.ptp(t) * rate, 1e15)))
+    columns = 2 * len(motion) * len(MARKERS)  # before and after the filter
+    Budget(name, t.nbytes).take(int(columns * t.itemsize * min(np.ptp(t) * rate, 1e15)))
     first = np.ceil(t[0] * rate - 1e-9)
     grid = np.arange(first, np.floor(t[-1] * rate + 1e-9) + 1) / rate
     if grid.size < 20:

@@ -154,7 +154,7 @@ class Composed:
     """All nodes of one twin, with a ``playback`` or with live ``sources`` (URLs) if it is given any, and with one that
     learns the road into the file ``learn``. Call :meth:`step` until :attr:`finished`, then :meth:`close`. One of many
     twins gets the ``executor`` that serves them all and is spun by its owner; such a twin has no calibrator. Others may
-    name files in the ``folders``, see the parameter of this name."""
+    name files in further ``folders``, see the parameter of this name."""
 
     def __init__(
         self,
@@ -181,8 +181,10 @@ class Composed:
         self._serve_at = 0.0
         self.player: BagPlayer | None = None
         parameters = [Parameter("twin", value=str(twin_file))]
-        if folders:
-            parameters.append(Parameter("folders", value=os.pathsep.join(map(str, folders))))
+        named = [*folders, *([] if learn is None else [learn.absolute().parent])]
+        if named:
+            places = [Path.cwd(), Path(twin_file).absolute().parent, *named]
+            parameters.append(Parameter("folders", value=os.pathsep.join(map(str, places))))
         if playback:
             parameters.append(Parameter("use_sim_time", value=True))
         try:

@@ -70,7 +70,6 @@ HARMLESS = {
     "addons/fmu/slave.py": (
         "fmpy.",
         "archive.open(member)",
-        "target.open('wb')",
     ),  # what it unpacked within a budget
     "addons/roads/scan/clouds.py": ("_optional(path, 'plyfile', 'plyfile').PlyData.read(file,",),
     "addons/sources/common/receiver.py": ("os.open(address.path",),  # a serial line that a URL names

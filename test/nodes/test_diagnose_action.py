@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import tempfile
 import time
 from pathlib import Path
 
@@ -79,10 +80,10 @@ def test_one_goal_at_a_time_whichever_action_it_is_of(bench, goal, tmp_path):
         ({"twin": "/nowhere/twin.yaml"}, "/nowhere/twin.yaml"),
         ({"twin": ""}, "twin: is empty"),
         ({"bags": []}, "bags: is empty"),
-        ({"bags": ["/nowhere/bag"]}, "/nowhere/bag: no such recording"),
-        ({"reference": ["/nowhere/before"]}, "/nowhere/before: no such recording"),
+        ({"bags": [f"{tempfile.gettempdir()}/nowhere/bag"]}, "/nowhere/bag: no such recording"),
+        ({"reference": [f"{tempfile.gettempdir()}/nowhere/before"]}, "/nowhere/before: no such recording"),
         ({"reference": [""]}, "reference: no such recording"),
-        ({"output": "/nowhere/at/all"}, "/nowhere/at/all: cannot be written"),
+        ({"output": f"{tempfile.gettempdir()}/nowhere/at/all"}, "/nowhere/at/all: cannot be written"),
         ({"output": __file__}, "cannot be written: name a folder"),
     ],
 )

@@ -283,13 +283,13 @@ def _extract(file: Path, folder: Path) -> None:
         budget = Budget(file, file.stat().st_size)
         for member in archive.infolist():
             budget.take(_MEMBER)
-            target = folder / member.filename
-            if not target.resolve().is_relative_to(folder.resolve()):
+            temporary = folder / member.filename
+            if not temporary.resolve().is_relative_to(folder.resolve()):
                 raise InputError(file, printable(member.filename[:80]), "leads out of the archive")
             if member.is_dir():
                 continue
-            target.parent.mkdir(parents=True, exist_ok=True)
-            with archive.open(member) as packed, target.open("wb") as there:
+            temporary.parent.mkdir(parents=True, exist_ok=True)
+            with archive.open(member) as packed, temporary.open("wb") as there:
                 while piece := packed.read(_PIECE):
                     budget.take(len(piece))
                     there.write(piece)
