@@ -50,8 +50,8 @@ class ManagedNode(TwinNode, LifecycleNodeMixin):  # type: ignore[misc]
 
     def bring_up(self) -> None:
         """Configure and activate, where the node starts by itself and nothing is missing."""
-        if self.values["autostart"] and self.trigger_configure() == _DONE:
-            self.trigger_activate()
+        if self.values["autostart"] and self.trigger_configure() == _DONE:  # type: ignore[no-untyped-call]
+            self.trigger_activate()  # type: ignore[no-untyped-call]
         self._show_state()
 
     def checked(self, values: Values) -> None:

@@ -207,7 +207,7 @@ def run_alone(
                 pass
             finally:
                 executor.shutdown()
-                node.destroy_node()
+                node.destroy_node()  # type: ignore[no-untyped-call]
     except SuspensionTwinError as error:
         print(" ".join(str(error).split()), file=sys.stderr)
         return error.exit_status

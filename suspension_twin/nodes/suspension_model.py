@@ -291,8 +291,9 @@ class SuspensionModelNode(ManagedNode):
             return
         settings = self._follower.settings
         grown = gap_warning(gap, settings.floor, settings.warn)
-        numbers = {"now": gap.rms, "over_all_driving": self.whole_gap(), "normalised": gap.normalised}
-        show("gap", WARN if grown else OK, grown or f"{gap} in the last {settings.window:g} s", **numbers)
+        text = grown or f"{gap} in the last {settings.window:g} s"
+        level, whole = WARN if grown else OK, self.whole_gap()
+        show("gap", level, text, now=gap.rms, over_all_driving=whole, normalised=gap.normalised)
         quiet = gap.measured_rms < _EXCITED * gap.noise_rms
         text = "hardly any: standing, or a smooth road" if quiet else f"{gap.measured_rms:.2f} m/s² measured"
         show("excitation", OK, text, measured=gap.measured_rms, noise=gap.noise_rms)

@@ -140,7 +140,8 @@ def test_a_line_says_how_all_are_and_one_what_is_wrong_with_each():
         }
     ).plain
     assert text == (
-        "3 twins, 2 with samples at 100 to 101 Hz | largest gap /b 0.20 m/s² (3.4 ×)\n/c: imu_ingest: no message (+1)"
+        "3 twins, 2 with samples at 100 to 101 Hz | largest gap now /b 0.20 m/s² (3.4 × noise)\n"
+        "/c: imu_ingest: no message (+1)"
     )
 
 

@@ -133,7 +133,7 @@ def summary(conditions: Mapping[str, Condition]) -> Text:
     if gaps:
         # Beside its noise floor where that is known, for vehicles and roads differ.
         worst, name = max(gaps, key=lambda g: (_finite(g[0].normalised) or 0.0, g[0].rms))
-        parts.append(f"largest gap /{name} {worst}")
+        parts.append(f"largest gap now /{name} {worst}")
     text = Text(" | ".join(parts))
     unwell = sorted((i for i in conditions.items() if i[1].complaints), key=lambda i: not i[1].failing)
     for name, c in unwell[:_COMPLAINTS]:
