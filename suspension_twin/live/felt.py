@@ -285,7 +285,7 @@ class _Matching:
         products, squares = np.empty((2, self.bank.offsets.size, felt.shape[1]))
         felt = np.ascontiguousarray(felt[-n::every])
         correlate(self._history, rows, felt, products, squares)
-        self.bank.weigh(dt, self._evidence.gain(dt, felt, products, squares))
+        self.bank.weigh(self._evidence.gain(dt, felt, products, squares))
 
 
 class FeltPosition:
