@@ -229,7 +229,7 @@ def answer_times(twin: Twin, seconds: float) -> dict[str, float]:
                 works.append(rested - began)  # noqa: B023
                 return out
 
-            live_twin.push_imu = timed  # type: ignore[method-assign]
+            live_twin.push_imu = timed  # type: ignore[method-assign, assignment]
             for _ in replay(case.drive, live_twin):
                 pass
             found[state] = float(np.percentile(answers, 99)) / 1e3
