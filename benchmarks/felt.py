@@ -16,6 +16,7 @@ import argparse
 import json
 import math
 import tempfile
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
@@ -207,6 +208,38 @@ def rms(values: Floats) -> float:
 # -- cost -------------------------------------------------------------------------------------------
 
 
+def answer_times(twin: Twin, seconds: float) -> dict[str, float]:
+    """p99 in µs of the processor time from a sample to its answer, with and without; what other processes do to a
+    latency is not in it. The work that follows the answer is apart: ms each time that it is done."""
+    case, road = case_of(twin, "C", 1, seconds)
+    found: dict[str, float] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        here = on_road(twin, road, folder)
+        for state in ("auto", "off", "auto", "off"):  # the first round compiles
+            live_twin, answers, works = digital_twin(here), [], []
+            live_twin.felt = live_twin.felt if state == "auto" else None
+            push = live_twin.push_imu
+
+            def timed(*sample: Any) -> Any:
+                began = time.thread_time_ns()
+                live_twin.rest()  # noqa: B023 - called within the round
+                rested = time.thread_time_ns()
+                out = push(*sample)  # noqa: B023
+                answers.append(time.thread_time_ns() - rested)  # noqa: B023
+                works.append(rested - began)  # noqa: B023
+                return out
+
+            live_twin.push_imu = timed  # type: ignore[method-assign, assignment]
+            for _ in replay(case.drive, live_twin):
+                pass
+            found[state] = float(np.percentile(answers, 99)) / 1e3
+            if state == "auto":
+                work = np.array(works)[np.array(works) > 2e5] / 1e6
+                found |= {"work_ms": float(np.median(work)), "work_p99_ms": float(np.percentile(work, 99))}
+    found["ratio"] = found["auto"] / found["off"]
+    return found
+
+
 def nodes(control: Connection, file: str, position: str) -> None:
     """The nodes in one process, with ``felt_position`` as given."""
     from suspension_twin.nodes.composed import Composed
@@ -227,7 +260,7 @@ def cost(twin: Twin, seconds: float, rounds: int, warm_up: float) -> dict[str, A
     with tempfile.TemporaryDirectory() as folder:
         road, _ = road_of("C", 3000.0, 100.0, 1)
         file = str(Path(folder) / "twin.yaml")
-        save_twin(on_road(twin, road, folder), file)
+        save_twin(on_road(twin.with_changes({"imu.rpy": (0.0, 0.0, 0.0)}), road, folder), file)
         children = {state: live.Child(nodes, file, state) for state in states}
         rclpy.init(args=[])
         live.ANSWERS.update(dict.fromkeys(states, "twin/vertical_acceleration"))
@@ -270,6 +303,7 @@ def main() -> None:
     for kind in ("C", "flat"):
         found[kind] = accuracy(twin, kind, given.seeds, given.length)
     found["unrelated"] = false_locks(twin, given.tries, 0.4 * given.length)
+    found["answer"] = answer_times(twin, given.length)
     if given.seconds > 0:
         found["cost"] = cost(twin, given.seconds, given.rounds, 5.0)
     print(json.dumps(found, indent=1) if given.json else table(found))
@@ -291,6 +325,11 @@ def table(found: dict[str, Any]) -> str:
     lines.append(
         f"{row['tries']} drives on another road than the twin's: {row['false_locks']} false locks, the receiver's "
         f"place moved by {row['largest_shift']:.3f} m at most"
+    )
+    row = found["answer"]
+    lines.append(
+        f"processor time to an answer, p99: {row['auto']:.0f} µs with, {row['off']:.0f} µs without, ratio "
+        f"{row['ratio']:.2f}; behind the answers {row['work_ms']:.1f} ms ten times a second"
     )
     if "cost" in found:
         row = found["cost"]

@@ -21,6 +21,7 @@ from suspension_twin.inference.observation import road_of
 from suspension_twin.models.candidate_road import RoadStretch, ahead_of, candidate_heights, reach_of
 from suspension_twin.models.constants import Conditions, constants
 from suspension_twin.models.excitation import MAX_GAP, MOTION, earlier_pose, next_yaw_acceleration, substeps
+from suspension_twin.models.hooks import load_hook
 from suspension_twin.models.parameters import lanes, layout
 from suspension_twin.models.rows import WIDTH
 from suspension_twin.models.sensor_chain import Chain
@@ -32,7 +33,7 @@ from suspension_twin.pose.receiver_lateness import LATE, ReceiverLateness
 from suspension_twin.pose.types import VELOCITY_SHARE
 from suspension_twin.road.road import Road
 from suspension_twin.signals.filters import CausalLowPass, FilterSpec
-from suspension_twin.vehicle.twin import CarTwin, Twin
+from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["POOR_FIX", "FeltPosition", "FeltSettings", "felt_stage"]
 
@@ -61,6 +62,8 @@ _PER_PERIOD = 5.0
 #: Probability that road and drive belong together from which a place is believed, and below which no longer; the
 #: largest spread of a place that is believed, as a share of the receiver's own.
 _SURE, _UNSURE, _SHARP = 0.99, 0.5, 0.5
+#: The effect by which a lane sees the road ahead of its pose; what cannot carry it has no lanes to drive ahead.
+_SHIFT = "position_offset"
 #: m by which the receiver's place may jump, as in the follower.
 _JUMP = 0.5
 
@@ -89,12 +92,12 @@ class _Lanes:
     feels in each. What fixes do to that pose is no movement: the place is pulled after it within ``RECEIVER_TIME``, by
     ``pulled`` m in the last stretch. ``lead`` m is how far the pose is ahead of it along the road."""
 
-    def __init__(self, twin: CarTwin, road: Road, ahead: Floats) -> None:
+    def __init__(self, twin: Twin, road: Road, ahead: Floats) -> None:
         effects = {effect.id: effect.parameters for effect in twin.effects}
-        already = effects.setdefault("position_offset", {"offset": 0.0}).get("offset", 0.0)
+        already = effects.setdefault(_SHIFT, {"offset": 0.0}).get("offset", 0.0)
         specs = [{"id": name, "parameters": values} for name, values in effects.items()]
         shifted = twin.with_changes({"effects": specs})
-        params = lanes(shifted, ["effects.position_offset.offset"], already + ahead[:, None])
+        params = lanes(shifted, [f"effects.{_SHIFT}.offset"], already + ahead[:, None])
         known = constants(params, layout(shifted), Conditions(_STEP))
         known.problems.raise_first()
         assert known.road is not None
@@ -201,7 +204,7 @@ class _Matching:
     ``ahead`` m is how far the felt place is ahead of the locked pose.
     """
 
-    def __init__(self, twin: CarTwin, road: Road, spec: FilterSpec, sigma: float) -> None:
+    def __init__(self, twin: Twin, road: Road, spec: FilterSpec, sigma: float) -> None:
         low, high = -_REACH * sigma, _REACH * sigma + LATE * _FASTEST
         ahead = np.linspace(low, high, _LANES)
         self.sigma = sigma
@@ -285,7 +288,7 @@ class _Matching:
         products, squares = np.empty((2, self.bank.offsets.size, felt.shape[1]))
         felt = np.ascontiguousarray(felt[-n::every])
         correlate(self._history, rows, felt, products, squares)
-        self.bank.weigh(dt, self._evidence.gain(dt, felt, products, squares))
+        self.bank.weigh(self._evidence.gain(dt, felt, products, squares))
 
 
 class FeltPosition:
@@ -296,7 +299,7 @@ class FeltPosition:
     roads on which nothing is felt.
     """
 
-    def __init__(self, twin: CarTwin, settings: FeltSettings) -> None:
+    def __init__(self, twin: Twin, settings: FeltSettings) -> None:
         self.settings = settings
         self._twin = twin
         self._road: Road | None = None
@@ -437,6 +440,6 @@ def _is_broken(rows: Floats) -> bool:
 
 def felt_stage(twin: Twin | None, settings: FeltSettings) -> FeltPosition | None:
     """The felt place of a twin; None where there is no road to feel, or no lanes of its model."""
-    if not isinstance(twin, CarTwin) or twin.road is None:
+    if twin is None or twin.road is None or twin.model not in load_hook(_SHIFT).models:
         return None
     return FeltPosition(twin, settings)

@@ -24,11 +24,9 @@ SHARES = np.array([0.2, 0.4, 0.75])
 #: s after which the error of a receiver is another one: the correlation time of multipath and atmosphere of code fixes,
 #: of the order of a minute (Kaplan and Hegarty, Understanding GPS, ch. 7). So long a place is remembered.
 RECEIVER_TIME = 60.0
-#: s after which a vehicle may have come onto the known road or left it (prior, by hand: ten minutes).
-_ROAD_TIME = 600.0
-#: Nats a second that are evidence for the road at most: one bump is like another, and its second alone must not
-#: outweigh what the road before it said.
-_MOST = 10.0
+#: s after which a vehicle may have come onto the known road or left it (prior: once in a drive of an hour). A bump that
+#: is like one of the map is evidence of 10 to 15 nats: not enough against a road that was another one before it.
+_ROAD_TIME = 3600.0
 #: s over which the size of the motion is averaged: a car's body comes to rest in about that.
 _RINGING = 1.0
 
@@ -74,13 +72,11 @@ class PlaceBank:
         self.null += other * (0.5 - self.null)
         self._normalise()
 
-    def weigh(self, dt: float, gain: Floats) -> None:
-        """Multiply by the likelihoods of ``dt`` s, ``gain`` (shares, p) their logarithms less that of the null
-        hypothesis, all of them lowered where the largest is above what may be evidence in that time."""
-        best = float(gain.max())
-        likely = min(best, _MOST * dt)
-        self.weights *= np.exp(gain - best + min(likely, 0.0))
-        self.null *= math.exp(-max(likely, 0.0))
+    def weigh(self, gain: Floats) -> None:
+        """Multiply by the likelihoods, ``gain`` (shares, p) their logarithms less that of the null hypothesis."""
+        top = max(float(gain.max()), 0.0)
+        self.weights *= np.exp(gain - top)
+        self.null *= math.exp(-top)
         self._normalise()
 
     def _normalise(self) -> None:

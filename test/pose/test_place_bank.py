@@ -38,7 +38,7 @@ def test_the_weights_sum_to_one(steps, seed):
     bank.begin(0.0, 2.5)
     for shift, wander, centre, sigma in steps:
         bank.move(0.1, shift, wander, (centre, sigma))
-        bank.weigh(0.1, rng.normal(0.0, 300.0, bank.weights.shape))
+        bank.weigh(rng.normal(0.0, 300.0, bank.weights.shape))
         assert bank.weights.min() >= 0.0 and bank.null >= 0.0
         assert bank.weights.sum() + bank.null == pytest.approx(1.0, abs=1e-12)
         assert OFFSETS[0] <= bank.mean <= OFFSETS[-1] and 0.0 < bank.spread < 20.0
@@ -58,27 +58,29 @@ def test_without_evidence_all_returns_to_the_receiver():
     bank = PlaceBank(OFFSETS)
     bank.begin(5.0, 0.2)
     for _ in range(4000):
-        bank.move(1.0, 0.0, 0.05, (-1.0, 1.5))
+        bank.move(6.0, 0.0, 0.05, (-1.0, 1.5))
     assert bank.mean == pytest.approx(-1.0, abs=0.05)
     assert bank.spread == pytest.approx(1.5, rel=0.1)
     assert bank.null == pytest.approx(0.5, abs=0.01)
 
 
-def test_a_second_alone_does_not_outweigh_what_was_felt_before_it():
-    """A bump that is like one of the map, after a road that is not the map's."""
-    bank = PlaceBank(OFFSETS)
+def test_a_bump_like_one_of_the_map_does_not_outweigh_the_road_before_it():
+    """After a road that is not the map's; at first it does, and more of it does."""
+    fresh, bank = PlaceBank(OFFSETS), PlaceBank(OFFSETS)
+    fresh.begin(0.0, 2.5)
     bank.begin(0.0, 2.5)
     for _ in range(200):
         bank.move(0.1, 0.0, 0.05, (0.0, 2.5))
-        bank.weigh(0.1, np.full(bank.weights.shape, -3.0))
-    assert bank.null > 0.999
+        bank.weigh(np.full(bank.weights.shape, -3.0))
+    assert bank.null > 0.9999
     like_a_bump = np.full(bank.weights.shape, -3.0)
-    like_a_bump[:, 40] = 5.0
+    like_a_bump[:, 32] = 1.2
+    for one in (fresh, bank):
+        for _ in range(10):
+            one.weigh(like_a_bump)
+    assert fresh.null < 0.001 and bank.null > 0.9
     for _ in range(10):
-        bank.weigh(0.1, like_a_bump)
-    assert bank.null > 0.5 and bank.spread < 0.3
-    for _ in range(20):
-        bank.weigh(0.1, like_a_bump)
+        bank.weigh(like_a_bump)
     assert bank.null < 0.01
 
 
