@@ -101,7 +101,7 @@ def knots_of(speed: float, seconds: float) -> tuple[tuple[float, float], ...]:
     shape = (
         (0.0, 0.0),
         (2.0, 0.0),
-        (9.0, 1.0),
+        (min(9.0, 0.5 * seconds), 1.0),
         (0.6 * seconds, 1.0),
         (0.7 * seconds, 0.75),
         (0.8 * seconds, 1.0),
