@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, make_interp_spline
 
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.contents import Contents, decode_topic
@@ -38,7 +38,9 @@ QUANTITIES: Final[Mapping[str, tuple[Mapping[str, float], float]]] = {
     "time": ({"s": 1.0, "ms": 1e-3}, np.inf),
     "road_displacement": (_LENGTH, 2.0),
     "road_velocity": (_SPEED, 20.0),
-    "body_acceleration": (_ACCELERATION, 500.0),
+    "body_displacement": (_LENGTH, 5.0),
+    "wheel_displacement": (_LENGTH, 5.0),
+    "body_acceleration": (_ACCELERATION, 5000.0),
     "wheel_acceleration": (_ACCELERATION, 5000.0),
     "suspension_deflection": (_LENGTH, 2.0),
     "tyre_force": (_FORCE, 1e6),
@@ -46,6 +48,7 @@ QUANTITIES: Final[Mapping[str, tuple[Mapping[str, float], float]]] = {
 }
 _LARGEST: Final = 1 << 30  # bytes of a table
 _ROAD: Final = ("road_displacement", "road_velocity")
+_BODY: Final = ("body_acceleration", "body_displacement")
 _ACCELEROMETERS: Final = {"/imu/data_raw": "body_acceleration", "/wheel/imu/data_raw": "wheel_acceleration"}
 _JOINTS: Final = "/joint_states"
 _FIELDS: Final = {
@@ -69,6 +72,20 @@ class RigRecord:
     columns: Mapping[str, Floats]
     warnings: tuple[str, ...] = ()
 
+    def channel(self, name: str) -> Floats | None:
+        """(n,) a response as it was measured, or as it follows from measured displacements: an acceleration as the
+        second derivative of a quintic spline, a deflection as a difference; None where it is neither."""
+        columns = self.columns
+        if name in columns:
+            return columns[name]
+        if name == "suspension_deflection" and {"body_displacement", "wheel_displacement"} <= set(columns):
+            return columns["wheel_displacement"] - columns["body_displacement"]
+        moved = columns.get(name.replace("acceleration", "displacement"))
+        if moved is None or not name.endswith("acceleration"):
+            return None
+        t = self.t - self.t[0]
+        return np.asarray(make_interp_spline(t, moved, 5).derivative(2)(t))
+
 
 def read_rig(path: str | Path) -> RigRecord:
     """A run from a CSV or a recording; InputError names the file and the quantity that is wrong or missing."""
@@ -78,9 +95,11 @@ def read_rig(path: str | Path) -> RigRecord:
 
 
 def _checked(path: Path, columns: dict[str, Floats], warnings: list[str]) -> RigRecord:
-    for name in ("time", "body_acceleration"):
-        if name not in columns:
-            raise InputError(path, name, f"is missing, there are {', '.join(columns) or 'no known columns'}")
+    there = ", ".join(columns) or "no known columns"
+    if "time" not in columns:
+        raise InputError(path, "time", f"is missing, there are {there}")
+    if not set(_BODY) & set(columns):
+        raise InputError(path, "body_acceleration", f"is missing, and so is body_displacement, there are {there}")
     if not set(_ROAD) & set(columns):
         raise InputError(
             path, "road_displacement", "is missing, and so is road_velocity: one of them is needed"

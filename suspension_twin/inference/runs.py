@@ -21,29 +21,40 @@ from suspension_twin.drive.rig import RigRecord, read_rig, write_rig
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.files import together
 from suspension_twin.inference.gap import Comparison, Gap, write_gap
+from suspension_twin.inference.linear_corner import CORNER_CHANNELS, linear_corner
 from suspension_twin.inference.marker_runs import CUTOFF, FLOORS, MARKERS, MarkerRun, low_pass, read_run
 from suspension_twin.inference.nuisance import OF_A_RIG, OF_A_RUN, NuisancePriors
 from suspension_twin.inference.observation import Grid, Observation, Usage, renamed
-from suspension_twin.models.excitation import MAX_STEP, excitation
+from suspension_twin.models.excitation import MAX_STEP, MOTION, excitation
 from suspension_twin.models.parameters import pack
 from suspension_twin.models.registry import model_of
 from suspension_twin.models.simulate import simulate_lanes, simulate_twin
 from suspension_twin.models.tracked import ObstacleRun
 from suspension_twin.models.types import Excitation, LaneResponse
 from suspension_twin.pose.types import Trajectory
+from suspension_twin.signals.clock import find_gaps, nominal_rate
 from suspension_twin.signals.common_rate import PER_PERIOD
 from suspension_twin.signals.conditioner import Conditioner
 from suspension_twin.signals.filters import FilterSpec
-from suspension_twin.signals.noise_floor import floor_rms
+from suspension_twin.signals.noise_floor import spectral_floor
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["SimulatedRun", "marker_observation", "observe_rig", "observe_runs", "rig_run", "simulate_rig"]
+__all__ = ["SimulatedRun", "is_actuated", "marker_observation", "observe_rig", "observe_runs", "rig_run", "simulate_rig"]
 
 #: Share of an input's rms by which transducers let two runs of one program differ: 0.1 mm of 10 mm.
 _SAME_INPUT = 0.01
 #: s: two periods of a body on its springs (1 Hz), beyond which residuals are independent, and as much of a rig run is
 #: held out together.
 TWO_PERIODS = 2.0
+#: Stamps of a simulation for each of the comparison's grid, and how many times more a logger has to give before it is
+#: worth the resampling.
+_DENSE, _WORTHWHILE = 2.0, 1.26
+#: Standard deviations of the gain of an actuator's force from which on its sign is certain.
+_SURE = 3.0
+_REVERSED: Final = (
+    "actuator_force acts the other way round: a linear model of the runs has the body pushed down by it. Turn its sign: "
+    "a force that pushes the body up is positive"
+)
 _OBSTACLE_BLOCK = 0.5  # m of an obstacle run that is held out together
 #: m between the places of two programs.
 _APART = 1e4
@@ -137,18 +148,36 @@ def observe_rig(
         filtered = path.apply(x)[rows]
         return np.asarray(filtered - filtered.mean(axis=0))
 
-    raw = {name: columns[name] for name in channels if name in columns}
-    still = np.zeros(t.size, dtype=np.bool_)
+    derived = ((name, record.channel(name)) for name in channels)
+    raw = {name: values for name, values in derived if values is not None}
     found = _run(
         record.name,
         run,
         {name: apply(values) for name, values in raw.items()},
-        {name: floor_rms(values, path, still) for name, values in raw.items()},
+        {name: spectral_floor(values, path) for name, values in raw.items()},
         _grid(path.grid[rows], path.rate / every, spec.cutoff, apply, 1.0),
         priors=OF_A_RIG,
         block=TWO_PERIODS,
     )
     return replace(found, warnings=record.warnings)
+
+
+def _on_coarse_stamps(record: RigRecord, channels: Sequence[str]) -> RigRecord:
+    """The run with the channels that it holds on stamps dense enough for the comparison: fast loggers are low-passed,
+    inputs and responses alike, and sampled more slowly. One with a pause stays as it is."""
+    rate, target = nominal_rate(record.t), _DENSE * PER_PERIOD * FilterSpec().cutoff
+    derived = {name: values for name in channels if (values := record.channel(name)) is not None}
+    columns = {**record.columns, **derived}
+    if rate <= _WORTHWHILE * target or len(find_gaps(record.t, rate)):
+        return replace(record, columns=columns)
+    path = Conditioner.for_stamps(record.t, FilterSpec(4, 0.4 * target))
+    t = np.arange(record.t[0], record.t[-1], 1.0 / target)
+    slower = {}
+    for name, values in columns.items():
+        # the filter starts from zero
+        smooth = path.apply(values - values[0]) + values[0]
+        slower[name] = np.asarray(CubicSpline(path.grid, smooth)(t))
+    return replace(record, t=t, columns=slower)
 
 
 def _grid(t: Floats, rate: float, cutoff: float, apply: Callable[[ArrayLike], Floats], speed: float) -> Grid:
@@ -267,8 +296,9 @@ def _rig(twin: Twin, paths: Sequence[str]) -> list[Observation]:
     """Runs of one program share an excitation; all inputs and transducers have one clock."""
     found: list[Observation] = []
     programs: list[Excitation] = []
+    channels = model_of(twin).channels
     for path in paths:
-        one = observe_rig(read_rig(path), model_of(twin).channels)
+        one = observe_rig(_on_coarse_stamps(read_rig(path), channels), channels)
         driven = one.excitation
         assert isinstance(driven, Excitation)
         program = next((k for k, known in enumerate(programs) if _one_program(known, driven)), len(programs))
@@ -284,6 +314,24 @@ def _rig(twin: Twin, paths: Sequence[str]) -> list[Observation]:
                 usage=replace(one.usage, block=block),
             )
         )
+    return beside_linear(found)
+
+
+def beside_linear(runs: Sequence[Observation]) -> list[Observation]:
+    """Runs of a corner with the residual of a linear model of all of them: it caps the noise, and a fit counts each
+    channel in units of it, the main one as much as all others together."""
+    channels = [c for c in CORNER_CHANNELS if all(c in run.measured for run in runs)]
+    corner, sign = linear_corner(runs, channels)
+    others = max(len(channels) - 1, 1)
+    found = []
+    for run in runs:
+        simulated = corner.signals(run)
+        left = {c: float(np.std(run.measured[c] - simulated[c])) for c in channels}
+        floors = {c: min(floor, left.get(c, floor)) for c, floor in run.noise_rms.items()}
+        unit = {c: rms if c == channels[0] else rms * np.sqrt(others) for c, rms in left.items()}
+        usage = replace(run.usage, unit=unit)
+        warnings = (*run.warnings, *([_REVERSED] if sign < -_SURE else []))
+        found.append(replace(run, noise_rms=floors, usage=usage, warnings=warnings))
     return found
 
 
@@ -293,6 +341,11 @@ def _one_program(one: Excitation, other: Excitation) -> bool:
         return False
     inputs = ([run.road[:, 0], *run.motion.T[7:]] for run in (one, other))
     return all(float(np.std(a - b)) <= _SAME_INPUT * float(np.std(a)) for a, b in zip(*inputs, strict=True))
+
+
+def is_actuated(run: Observation) -> bool:
+    """Whether a run has a known force between the masses."""
+    return isinstance(run.excitation, Excitation) and run.excitation.motion.shape[1] > len(MOTION)
 
 
 #: How runs of each kind of recording are read: a model says which kind it has.
