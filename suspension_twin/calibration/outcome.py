@@ -19,11 +19,13 @@ from suspension_twin.calibration.request import (
     Estimate,
     NuisanceEstimate,
     SensorEstimate,
+    Yardstick,
 )
 from suspension_twin.calibration.searches import costs_of
 from suspension_twin.calibration.sensor import sensor_estimates, with_sensor
 from suspension_twin.calibration.setup import Setup
 from suspension_twin.calibration.uncertainty import Uncertainty, assess, curve_estimates
+from suspension_twin.calibration.yardstick import yardstick
 from suspension_twin.inference.gap import channel_unit
 from suspension_twin.inference.objectives import Objective
 from suspension_twin.inference.problem import Interrupted
@@ -56,6 +58,7 @@ def conclude(recorder: Recorder, outcome: SearchOutcome, start: float, began: fl
     space = setup.space
     drives: tuple[DriveFit, ...] = ()
     found: Uncertainty | None = None
+    measure: Yardstick | None = None
     stopped = outcome.stopped
     evaluations, nan = recorder.evaluations, float("nan")
     try:
@@ -70,6 +73,8 @@ def conclude(recorder: Recorder, outcome: SearchOutcome, start: float, began: fl
     try:
         if not stopped:
             drives = drive_fits(setup, outcome, twin, values)
+            if found is not None:
+                measure = yardstick(setup, outcome, np.array(found.status) == "kept")
             if setup.on_road:
                 check_agreement(
                     [d.name for d in drives], [d.correlation for d in drives], setup.drives[0].road.name
@@ -91,6 +96,7 @@ def conclude(recorder: Recorder, outcome: SearchOutcome, start: float, began: fl
         initial_cost=start,
         distance=nan if stopped else paper_distance(setup, twin),
         initial_distance=nan if stopped else paper_distance(setup, setup.original),
+        yardstick=measure,
         evaluations=evaluations,
         history=np.array(recorder.history).reshape(-1, 4),
         stopped=stopped,
@@ -172,7 +178,7 @@ def _estimates(setup: Setup, values: Floats, found: Uncertainty | None) -> tuple
             high=float(high[i]),
             lower=float(space.lower[i]),
             upper=float(space.upper[i]),
-            status="on bound" if bound[i] else status[i],
+            status="on bound" if bound[i] and status[i] != "kept" else status[i],
         )
         for i, key in enumerate(space.keys)
     )

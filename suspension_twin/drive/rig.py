@@ -99,7 +99,7 @@ def _checked(path: Path, columns: dict[str, Floats], warnings: list[str]) -> Rig
     if "time" not in columns:
         raise InputError(path, "time", f"is missing, there are {there}")
     if not set(_BODY) & set(columns):
-        raise InputError(path, "body_acceleration", f"is missing, and so is body_displacement, there are {there}")
+        raise InputError(path, "body_acceleration", f"is missing, there are {there}; body_displacement would do")
     if not set(_ROAD) & set(columns):
         raise InputError(
             path, "road_displacement", "is missing, and so is road_velocity: one of them is needed"

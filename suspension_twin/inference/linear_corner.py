@@ -28,7 +28,7 @@ __all__ = ["CORNER_CHANNELS", "LinearCorner", "linear_corner"]
 CORNER_CHANNELS = ("body_acceleration", "wheel_acceleration", "suspension_deflection")
 #: Hz of body and wheel that a fit starts from: a car, a lorry, a rig for teaching; and s of the delay.
 _STARTS = ((1.3, 11.0), (2.5, 9.0), (5.0, 14.0))
-_DELAYS = (0.0, 0.03)
+_DELAYS = (-0.03, 0.0, 0.03)
 _LEAST_DAMPING, _TAPER = 0.2, 0.5  # damping ratio of a start; s at both ends of a run that fade in and out
 _FEW, _MANY = 12, 60  # evaluations of every start, and of the best
 _REACH = 12.0  # largest logarithm of a ratio of two numbers
@@ -70,21 +70,25 @@ class LinearCorner:
         """Conditioned channels (m,) over a run that begins at rest."""
         t = run.excitation.t
         even = np.linspace(t[0], t[-1], t.size)
-        road, force = (np.interp(even, t, x - x[0]) for x in _inputs(run))
+        speed, force = (np.interp(even, t, x) for x in _inputs(run))
         w = 2.0 * np.pi * np.fft.rfftfreq(2 * t.size, even[1] - even[0])
-        spectra = (np.fft.rfft(x, 2 * t.size) for x in (road, force))
-        found = self.responses(w, *spectra)
+        rate, pushed = (np.fft.rfft(x, 2 * t.size) for x in (speed, force - force[0]))
+        found = self.responses(w, _integrated(rate, w), pushed)
         return {
             name: run.grid.apply(np.interp(t, even, np.fft.irfft(x, 2 * t.size)[: t.size]))
             for name, x in found.items()
         }
 
 
-def linear_corner(runs: Sequence[Observation], channels: Sequence[str]) -> tuple[LinearCorner, float]:
-    """The linear corner that fits ``channels`` of the runs best, and the force's gain in standard deviations."""
+def linear_corner(
+    runs: Sequence[Observation], channels: Sequence[str], rows: Sequence[slice] | None = None
+) -> tuple[LinearCorner, float]:
+    """The linear corner that fits ``channels`` of the runs best, on some ``rows`` of each if these are given; and the
+    gain of the force in standard deviations."""
     from scipy.optimize import least_squares  # half a second to import
 
-    spectra = [_spectra(run, channels) for run in runs]
+    rows = [slice(0, run.t.size) for run in runs] if rows is None else rows
+    spectra = [_spectra(run, channels, own) for run, own in zip(runs, rows, strict=True)]
     forced = any(np.any(one.force) for one in spectra)
 
     def model(x: Floats) -> LinearCorner:
@@ -119,23 +123,31 @@ def linear_corner(runs: Sequence[Observation], channels: Sequence[str]) -> tuple
 
 
 def _inputs(run: Observation) -> tuple[Floats, Floats]:
-    """Height of the road and force of the actuator (n,) at the stamps of a run."""
+    """Rate of the road's height and force of the actuator (n,) at the stamps of a run: a height drifts where it was a
+    velocity that was measured."""
     driven = run.road_excitation
     force = driven.motion[:, len(MOTION)] if driven.motion.shape[1] > len(MOTION) else np.zeros(len(driven))
-    return driven.road[driven.first[1:] - 1, 0], force
+    return np.gradient(driven.road[driven.first[1:] - 1, 0], driven.t), force
 
 
-def _spectra(run: Observation, channels: Sequence[str]) -> _Spectra:
-    conditioned = [run.grid.apply(x) for x in _inputs(run)]
-    size, edge = run.t.size, max(1, round(_TAPER * run.rate))
+def _integrated(rate: np.ndarray, w: Floats) -> np.ndarray:
+    """Spectrum (F,) of what has the spectrum ``rate``, without its mean."""
+    return np.where(w > 0.0, rate / (1j * np.where(w > 0.0, w, 1.0)), 0.0)
+
+
+def _spectra(run: Observation, channels: Sequence[str], own: slice) -> _Spectra:
+    conditioned = [run.grid.apply(x)[own] for x in _inputs(run)]
+    size, edge = own.stop - own.start, max(1, round(_TAPER * run.rate))
     ramp = np.clip(np.minimum(np.arange(size), np.arange(size)[::-1]) / edge, 0.0, 1.0)
     fade = ramp * ramp * (3.0 - 2.0 * ramp)
     # two periods in a run, and what passes the filter
     f = np.fft.rfftfreq(size, 1.0 / run.rate)
-    rows = (f >= 2.0 * run.rate / size) & (f <= run.bandwidth)
+    band = (f >= 2.0 * run.rate / size) & (f <= run.bandwidth)
 
     def of(x: Floats) -> np.ndarray:
-        return np.asarray(np.fft.rfft((x - x.mean()) * fade)[rows])
+        return np.asarray(np.fft.rfft((x - x.mean()) * fade)[band])
 
-    road, force = (of(x) for x in conditioned)
-    return _Spectra(2 * np.pi * f[rows], road, force, {name: of(run.measured[name]) for name in channels})
+    speed, force = (of(x) for x in conditioned)
+    road = _integrated(speed, 2 * np.pi * f[band])
+    measured = {name: of(run.measured[name][own]) for name in channels}
+    return _Spectra(2 * np.pi * f[band], road, force, measured)

@@ -3,7 +3,10 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
+
+from pydantic import model_validator
 
 from suspension_twin.schema import Strict, within
 from suspension_twin.units import STANDARD_GRAVITY
@@ -20,6 +23,8 @@ from suspension_twin.vehicle.twin import (
 __all__ = ["QuarterCar", "QuarterCarTwin"]
 
 
+#: Hz of the body on its spring: half that of a soft limousine, and twice that of a rig for teaching.
+_SLOWEST, _FASTEST = 0.3, 20.0
 # from a rig for teaching, with plates of a kilogram on springs of 1 N/mm, to a lorry's corner
 BenchMass = Annotated[float, within(0.05, 20_000.0, "kg", "is it in t?")]
 BenchStiffness = Annotated[float, within(50.0, 1.0e7, "N/m", "is it in N/mm?")]
@@ -41,6 +46,17 @@ class QuarterCar(Strict):
     spring: Spring
     damper_push: Damper
     damper_pull: Damper
+
+    @model_validator(mode="after")
+    def _check(self) -> QuarterCar:
+        compression, force = self.spring.points
+        bounce = math.sqrt(force[-1] / compression[-1] / self.sprung_mass) / (2.0 * math.pi)
+        if not _SLOWEST <= bounce <= _FASTEST:
+            raise ValueError(
+                f"sprung_mass: {self.sprung_mass:g} kg would bounce on this spring at {bounce:.2g} Hz, which must lie "
+                f"between {_SLOWEST:g} and {_FASTEST:g} Hz (is it in t?)"
+            )
+        return self
 
     @property
     def axles(self) -> dict[str, Suspension]:
