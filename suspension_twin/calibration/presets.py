@@ -280,7 +280,7 @@ def _parameter(twin: Twin, key: str, preset: Preset, bounds: Mapping[str, tuple[
     if key.startswith("effects."):
         _, name, parameter = key.split(".")
         return effect(name, twin.model).parameter(parameter).about(key, nominal, given)
-    prior = prior_of(key)
+    prior = prior_of(key, twin.model)
     if prior is None:
         if given is None:
             raise InputError("free parameters", key, "needs bounds: nothing is known of how far it may go")

@@ -27,7 +27,7 @@ from suspension_twin.errors import InputError
 from suspension_twin.files import comment_lines, read_bytes, reading, replacing
 from suspension_twin.units import STANDARD_GRAVITY
 
-__all__ = ["QUANTITIES", "RigRecord", "read_rig", "write_rig"]
+__all__ = ["QUANTITIES", "RigRecord", "checked_rig", "read_rig", "rig_unit", "write_rig"]
 
 _LENGTH: Final = {"m": 1.0, "mm": 1e-3}
 _SPEED: Final = {"m_s": 1.0, "mm_s": 1e-3}
@@ -91,31 +91,43 @@ def read_rig(path: str | Path) -> RigRecord:
     """A run from a CSV or a recording; InputError names the file and the quantity that is wrong or missing."""
     path = Path(path)
     with reading(path, "a run of a rig"):
-        return _checked(path, *(_of_recording if path.is_dir() or is_recording(path) else _of_table)(path))
+        read = _of_recording if path.is_dir() or is_recording(path) else _of_table
+        columns, warnings = read(path)
+        return checked_rig(path, path.stem, columns, tuple(warnings))
 
 
-def _checked(path: Path, columns: dict[str, Floats], warnings: list[str]) -> RigRecord:
+def rig_unit(text: str) -> str:
+    """A unit as headers have it: ``m_s2`` of ``[m/s²]``."""
+    plain = text.casefold().replace("²", "2").replace("^", "").replace("/", "_")
+    return re.sub(r"[\s\[\]()]|^_+", "", plain.strip(" _"))
+
+
+def checked_rig(
+    path: str | Path, name: str, columns: dict[str, Floats], warnings: tuple[str, ...]
+) -> RigRecord:
+    """A run of columns (n,) in SI units, ``time`` among them; InputError names what is missing or wrong."""
     there = ", ".join(columns) or "no known columns"
     if "time" not in columns:
-        raise InputError(path, "time", f"is missing, there are {there}")
+        hint = "; a mapping file names the columns of any other table (import --mapping)"
+        raise InputError(path, "time", f"is missing, there are {there}{hint}")
     if not set(_BODY) & set(columns):
         raise InputError(path, "body_acceleration", f"is missing, there are {there}; body_displacement would do")
     if not set(_ROAD) & set(columns):
         raise InputError(
             path, "road_displacement", "is missing, and so is road_velocity: one of them is needed"
         )
-    for name, values in columns.items():
+    for quantity, values in columns.items():
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
-            raise InputError(path, name, f"is no number in row {bad[0] + 1}: cut or fill the gap")
-        if np.ptp(values) > QUANTITIES[name][1]:
-            unit = next(iter(QUANTITIES[name][0]))
-            raise InputError(path, name, f"ranges over {np.ptp(values):.3g} {unit}: is its unit another?")
+            raise InputError(path, quantity, f"is no number in row {bad[0] + 1}: cut or fill the gap")
+        if np.ptp(values) > QUANTITIES[quantity][1]:
+            unit = next(iter(QUANTITIES[quantity][0]))
+            raise InputError(path, quantity, f"ranges over {np.ptp(values):.3g} {unit}: is its unit another?")
     t = columns.pop("time")
     back = np.flatnonzero(np.diff(t) <= 0)
     if back.size:
         raise InputError(path, "time", f"does not rise in row {back[0] + 2}")
-    return RigRecord(path.stem, t, columns, tuple(warnings))
+    return RigRecord(name, t, columns, warnings)
 
 
 def write_rig(record: RigRecord, path: Path, comment: str = "") -> None:
@@ -133,13 +145,14 @@ def _of_table(path: Path) -> tuple[dict[str, Floats], list[str]]:
     columns: dict[str, Floats] = {}
     unused = []
     for index, title in enumerate(table.names):
-        text = title.casefold().replace("²", "2").replace("^", "").replace("/", "_")
+        text = title.casefold()
         name = next((q for q in QUANTITIES if text.startswith(q)), None)
-        if name is None:
+        units = QUANTITIES[name][0] if name else {}
+        unit = rig_unit(text.removeprefix(name)) if name else ""
+        # many a column begins with the word time: time_offset, "Time - road"
+        if name is None or (name == "time" and unit and unit not in units):
             unused.append(title)
             continue
-        units = QUANTITIES[name][0]
-        unit = re.sub(r"[\s\[\]()]|^_+", "", text.removeprefix(name).lstrip(" _"))
         if unit not in units:
             raise InputError(path, title[:60], f"needs a unit: {' or '.join(f'{name}_{u}' for u in units)}")
         if name in columns:
