@@ -24,16 +24,17 @@ from suspension_twin.calibration.request import (
 from suspension_twin.calibration.searches import costs_of
 from suspension_twin.calibration.sensor import sensor_estimates, with_sensor
 from suspension_twin.calibration.setup import Setup
-from suspension_twin.calibration.uncertainty import Uncertainty, assess, curve_estimates
+from suspension_twin.calibration.uncertainty import HALF_WIDTH, Uncertainty, assess, curve_estimates
 from suspension_twin.calibration.yardstick import yardstick
 from suspension_twin.inference.gap import channel_unit
 from suspension_twin.inference.objectives import Objective
-from suspension_twin.inference.problem import Interrupted
+from suspension_twin.inference.problem import REACH, Interrupted
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["conclude", "unfinished"]
 
 _DIGITS = 7
+LATENCY = "imu.latency"
 
 
 def unfinished(request: CalibrationRequest, twin: Twin, seconds: float) -> CalibrationResult:
@@ -101,7 +102,13 @@ def conclude(recorder: Recorder, outcome: SearchOutcome, start: float, began: fl
         history=np.array(recorder.history).reshape(-1, 4),
         stopped=stopped,
         seconds=time.monotonic() - began,
-        warnings=(*setup.warnings, *_early(sensor), *_remarks(drives, setup, values), *_absorbed(found)),
+        warnings=(
+            *setup.warnings,
+            *_early(sensor),
+            *_late(setup, values, found),
+            *_remarks(drives, setup, values),
+            *_absorbed(found),
+        ),
     )
 
 
@@ -143,6 +150,22 @@ def _early(sensor: tuple[SensorEstimate, ...]) -> list[str]:
         f"{-1e3 * s.low:.0f}): the positions of the receiver come late, or its clock is; {s.key} stays {s.start:g} s"
         for s in sensor
         if s.key == "imu.latency" and s.high < 0.0
+    ]
+
+
+def _late(setup: Setup, values: Floats, found: Uncertainty | None) -> list[str]:
+    """A warning where the responses on a rig come after or before what excites them, beyond three deviations."""
+    if found is None or LATENCY not in setup.space.keys:
+        return []
+    row = setup.space.keys.index(LATENCY)
+    low, value, high = (1e3 * float(v[row]) for v in (found.low, values, found.high))
+    start = 1e3 * setup.space.parameters[row].prior.typical
+    if abs(value - start) <= REACH * (high - low) / (2.0 * HALF_WIDTH):
+        return []
+    side = "after" if value > 0 else "before"
+    return [
+        f"the responses come {abs(value):.1f} ms {side} road and force ({low:.1f} to {high:.1f}): filters or clocks of "
+        f"the channels differ; {LATENCY} is written as {value:.1f} ms"
     ]
 
 

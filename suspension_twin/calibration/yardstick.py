@@ -65,7 +65,9 @@ def yardstick(setup: Setup, outcome: SearchOutcome, kept: NDArray[np.bool_]) -> 
         return None
     x = np.concatenate([problem.space.to_slopes(outcome.values), outcome.nuisance - outcome.placed])
     fixed = np.append(kept, np.zeros(problem.q, dtype=bool))
-    simulated = _held_out(problem, x, part, fixed)
+    weight = {term.channel: term.weight for term in setup.objective.terms}
+    weights = np.array([weight[name] for name in problem.channels])
+    simulated = _held_out(problem, x, part, fixed, weights)
     measured = problem.measured.values[:, problem.channels.index(channel)]
 
     def share(candidate: Floats) -> float:
@@ -97,10 +99,14 @@ def _parts(setup: Setup, problem: Problem) -> tuple[NDArray[np.intp], str]:
     return np.repeat(np.arange(len(sizes)) % _MOST_RUNS, sizes), "runs"
 
 
-def _held_out(problem: Problem, x: Floats, part: NDArray[np.intp], fixed: NDArray[np.bool_]) -> Floats:
-    """(M, C) readings of the fit at ``x`` (d + q,), each part from a fit without it; ``fixed`` unknowns stay."""
+def _held_out(
+    problem: Problem, x: Floats, part: NDArray[np.intp], fixed: NDArray[np.bool_], weights: Floats
+) -> Floats:
+    """(M, C) readings of the fit at ``x`` (d + q,) with ``weights`` (C,) of the channels, each part from a fit without
+    it; ``fixed`` unknowns stay."""
     measured = problem.measured
-    scale = np.maximum(np.std(problem.compared(x[:, None])[:, :, 0] - measured.values, axis=0), 1e-12)
+    weighted = (problem.compared(x[:, None])[:, :, 0] - measured.values) * weights
+    scale = max(float(np.std(weighted)), 1e-12) / weights
     at = problem.weighed(_Plain(measured.values, scale)).linearise(x)
     precision, centre = problem.joint_prior()
     row = np.repeat(part, len(problem.channels))
@@ -153,7 +159,7 @@ def _of_straight(setup: Setup, problem: Problem, x: Floats, part: NDArray[np.int
         settings=_DESCENT,
     )
     solver.run()
-    return _held_out(fresh, solver.x, part, np.zeros(start.size, dtype=bool))
+    return _held_out(fresh, solver.x, part, np.zeros(start.size, dtype=bool), 1.0 / scale)
 
 
 def straight(twin: Twin) -> Twin:

@@ -17,6 +17,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from suspension_twin.arrays import Floats
 from suspension_twin.inference.observation import Observation
@@ -127,7 +128,7 @@ def _inputs(run: Observation) -> tuple[Floats, Floats]:
     velocity that was measured."""
     driven = run.road_excitation
     force = driven.motion[:, len(MOTION)] if driven.motion.shape[1] > len(MOTION) else np.zeros(len(driven))
-    return np.gradient(driven.road[driven.first[1:] - 1, 0], driven.t), force
+    return np.asarray(CubicSpline(driven.t, driven.road[driven.first[1:] - 1, 0])(driven.t, 1)), force
 
 
 def _integrated(rate: np.ndarray, w: Floats) -> np.ndarray:
