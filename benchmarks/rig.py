@@ -240,7 +240,9 @@ def make(out: Path, seed: int, effect: str | None = None, seconds: float = 20.0)
 def filtered(record: RigRecord) -> RigRecord:
     """The run with accelerations behind an anti-aliasing filter of 40 Hz of their own."""
     sos = butter(2, 40.0, fs=RATE, output="sos")
-    columns = {k: sosfilt(sos, v - v[0]) if k.endswith("acceleration") else v for k, v in record.columns.items()}
+    columns = {
+        k: sosfilt(sos, v - v[0]) if k.endswith("acceleration") else v for k, v in record.columns.items()
+    }
     return replace(record, columns=columns)
 
 

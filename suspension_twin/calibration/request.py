@@ -346,7 +346,9 @@ class CalibrationResult(SearchSummary, Estimates):
     @property
     def message(self) -> str:
         """One line: costs, gaps and how many parameters were identified."""
-        state = "stopped, the best so far: " if self.stopped else f"{self._verdict}; " if self._verdict else ""
+        state = (
+            "stopped, the best so far: " if self.stopped else f"{self._verdict}; " if self._verdict else ""
+        )
         if not self.drives:
             return f"{state}{self._change}"
         gaps = ", ".join(

@@ -4,7 +4,7 @@
 Explained variance of the main channel, 1 - var(measured - simulated) / var(measured), on parts of the data that are
 held out in turn: whole runs, both halves of a single run, or every fifth block of road. The twin without a part is one
 Gauss-Newton step from the fit to all data. Beside it stand, fitted to the same parts: for a rig the linear corner of
-``inference.linear_corner``, for a car the twin with straight springs and dampers; and what a run explains of its repeat.
+``inference.linear_corner``, for a car the twin with straight springs and dampers; and what a run explains of a repeat.
 """
 
 from __future__ import annotations
@@ -71,7 +71,9 @@ def yardstick(setup: Setup, outcome: SearchOutcome, kept: NDArray[np.bool_]) -> 
     measured = problem.measured.values[:, problem.channels.index(channel)]
 
     def share(candidate: Floats) -> float:
-        return float(np.mean([_explained(measured[part == f], candidate[part == f]) for f in range(part.max() + 1)]))
+        return float(
+            np.mean([_explained(measured[part == f], candidate[part == f]) for f in range(part.max() + 1)])
+        )
 
     column = problem.channels.index(channel)
     linear = float("nan")
@@ -79,7 +81,9 @@ def yardstick(setup: Setup, outcome: SearchOutcome, kept: NDArray[np.bool_]) -> 
         linear = share(_of_straight(setup, problem, x, part)[:, column])
     elif channel in CORNER_CHANNELS and model_of(setup.twin).recordings == "rig":
         linear = share(_of_corner(problem, part, channel))
-    return Yardstick(channel, held_out, share(simulated[:, column]), linear, _of_repeats(problem.data.parts, channel))
+    return Yardstick(
+        channel, held_out, share(simulated[:, column]), linear, _of_repeats(problem.data.parts, channel)
+    )
 
 
 def _explained(measured: Floats, simulated: Floats) -> float:
@@ -132,7 +136,9 @@ def _of_corner(problem: Problem, part: NDArray[np.intp], channel: str) -> Floats
     data, out = problem.data, np.empty(part.size)
     ends = np.cumsum([0, *(rows.size for rows in data.rows)])
     for f in range(part.max() + 1):
-        kept = [(p, np.flatnonzero(part[a:b] != f)) for p, a, b in zip(data.parts, ends, ends[1:], strict=False)]
+        kept = [
+            (p, np.flatnonzero(part[a:b] != f)) for p, a, b in zip(data.parts, ends, ends[1:], strict=False)
+        ]
         used = [(p, slice(int(rows[0]), int(rows[-1]) + 1)) for p, rows in kept if rows.size]
         corner, _ = linear_corner([p for p, _ in used], [channel], [rows for _, rows in used])
         for p, a, b in zip(data.parts, ends, ends[1:], strict=False):
@@ -190,5 +196,7 @@ def _of_repeats(runs: Sequence[Observation], channel: str) -> float:
             continue
         for j, other in enumerate(runs):
             if i != j and repeats(one, other):
-                found.append(_explained(one.measured[channel], np.interp(one.t, other.t, other.measured[channel])))
+                found.append(
+                    _explained(one.measured[channel], np.interp(one.t, other.t, other.measured[channel]))
+                )
     return float(np.mean(found)) if found else float("nan")

@@ -76,7 +76,9 @@ def command(
             outputs.announce()
             write_rig(record, out, f"{record.name}, by {mapping.name}")
             rate = (record.t.size - 1) / (record.t[-1] - record.t[0])
-            console.print(f"{record.name}: {record.t[-1]:.1f} s at {rate:.4g} Hz, {', '.join(record.columns)}")
+            console.print(
+                f"{record.name}: {record.t[-1]:.1f} s at {rate:.4g} Hz, {', '.join(record.columns)}"
+            )
             for text in record.warnings:
                 console.print(f"  warning: {text}")
         console.print(f"Written to {out}")

@@ -311,7 +311,11 @@ class Mapping(Strict):
         if sum(part is not None for part in (self.imu, self.bag, self.rig)) != 1:
             raise ValueError("name either imu (with fix and vel), bag or rig")
         if self.imu is None and (self.fix or self.vel or self.heading):
-            fault = "bag: fix, vel and heading are topics of the bag" if self.bag else "rig: has no fix, vel or heading"
+            fault = (
+                "bag: fix, vel and heading are topics of the bag"
+                if self.bag
+                else "rig: has no fix, vel or heading"
+            )
             raise ValueError(fault)
         return self
 
@@ -361,8 +365,8 @@ def read_mapped(mapping: Mapping, recordings: Sequence[RecordedFiles], label: st
 
 
 def read_mapped_rig(mapping: Mapping, recordings: Sequence[RecordedFiles], label: str) -> RigRecord:
-    """A run of a rig of the files that the mapping names; every quantity at the stamps of ``time``, as far as all reach,
-    between its own stamps along a cubic spline. Raises InputError naming file and column."""
+    """A run of a rig of the files that the mapping names: every quantity at the stamps of ``time`` that all reach, between
+    its own stamps along a cubic spline. Raises InputError naming file and column."""
     spec = mapping.rig
     assert spec is not None
     streams = Streams(origin=f"mapping {Path(label).name}")
@@ -375,7 +379,9 @@ def read_mapped_rig(mapping: Mapping, recordings: Sequence[RecordedFiles], label
         stamps = t if one.time is None else _time(files, one.time, own)
         values = table.numbers(one.column) * one.sign * QUANTITIES[name][0][rig_unit(one.unit)]
         if stamps.size != values.size:
-            raise InputError(table.label, name, f"{values.size} rows for {stamps.size} stamps: give it a time")
+            raise InputError(
+                table.label, name, f"{values.size} rows for {stamps.size} stamps: give it a time"
+            )
         good = np.isfinite(stamps) & np.isfinite(values)
         if good.sum() < 4 or (np.diff(stamps[good]) <= 0).any():
             raise InputError(table.label, name, "needs rising stamps and numbers in four rows or more")

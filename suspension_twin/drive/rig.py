@@ -111,7 +111,9 @@ def checked_rig(
         hint = "; a mapping file names the columns of any other table (import --mapping)"
         raise InputError(path, "time", f"is missing, there are {there}{hint}")
     if not set(_BODY) & set(columns):
-        raise InputError(path, "body_acceleration", f"is missing, there are {there}; body_displacement would do")
+        raise InputError(
+            path, "body_acceleration", f"is missing, there are {there}; body_displacement would do"
+        )
     if not set(_ROAD) & set(columns):
         raise InputError(
             path, "road_displacement", "is missing, and so is road_velocity: one of them is needed"

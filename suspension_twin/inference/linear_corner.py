@@ -94,7 +94,9 @@ def linear_corner(
 
     def model(x: Floats) -> LinearCorner:
         wheel, spring, damper, tyre, tyre_damper = np.exp(np.clip(x[:5], -_REACH, _REACH)).tolist()
-        return LinearCorner(wheel, spring, damper, tyre, tyre_damper, 0.01 * float(x[5]), float(x[6]) * forced)
+        return LinearCorner(
+            wheel, spring, damper, tyre, tyre_damper, 0.01 * float(x[5]), float(x[6]) * forced
+        )
 
     def residuals(x: Floats) -> Floats:
         found = []
@@ -113,7 +115,6 @@ def linear_corner(
             k, mass = (2 * np.pi * body) ** 2, 0.15
             q = mass * (2 * np.pi * wheel) ** 2
             c, d = 2 * _LEAST_DAMPING * 2 * np.pi * body, 0.05 * mass * 2 * np.pi * wheel
-            start = np.append(np.log([mass, k, c, q, d]), [100.0 * delay, 0.0])
             starts.append(np.append(np.log([mass, k, c, q, d]), [100.0 * delay, 0.0]))
     first = [least_squares(residuals, start, max_nfev=_FEW) for start in starts]
     best = least_squares(residuals, min(first, key=lambda fit: fit.cost).x, max_nfev=_MANY)

@@ -39,7 +39,16 @@ from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.signals.noise_floor import spectral_floor
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["SimulatedRun", "is_actuated", "marker_observation", "observe_rig", "observe_runs", "repeats", "rig_run", "simulate_rig"]
+__all__ = [
+    "SimulatedRun",
+    "is_actuated",
+    "marker_observation",
+    "observe_rig",
+    "observe_runs",
+    "repeats",
+    "rig_run",
+    "simulate_rig",
+]
 
 #: Share of an input's rms by which transducers let two runs of one program differ: 0.1 mm of 10 mm.
 _SAME_INPUT = 0.01
@@ -57,8 +66,8 @@ _BESIDE = 0.25
 #: Standard deviations of the gain of an actuator's force from which on its sign is certain.
 _SURE = 3.0
 _REVERSED: Final = (
-    "actuator_force acts the other way round: a linear model of the runs has the body pushed down by it. Turn its sign: "
-    "a force that pushes the body up is positive"
+    "actuator_force acts the other way round: a linear model of the runs has the body pushed down by it. Turn its "
+    "sign: a force that pushes the body up is positive"
 )
 _OBSTACLE_BLOCK = 0.5  # m of an obstacle run that is held out together
 #: m between the places of two programs.

@@ -111,7 +111,7 @@ def _cards(page: Page, result: CalibrationResult) -> None:
 def _summary(result: CalibrationResult) -> str:
     lines = [f"**{result.message.partition(';')[0]}.**"] if result.yardstick and result.yardstick.lost else []
     if result.yardstick is not None and not result.yardstick.lost:
-        lines.append(f"{str(result.yardstick)}.")
+        lines.append(f"{result.yardstick}.")
     lines += [
         f"The searched objective, `{result.objective}`, went from {short(result.initial_cost)} to "
         f"{short(result.cost)}; costs of different objectives do not compare. Measured and simulated signals on this "

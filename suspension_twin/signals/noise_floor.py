@@ -21,7 +21,9 @@ _QUIETEST = 0.2  # quantile of the windows that have little road excitation near
 #: Frequencies over the cut-off above which little of a response is left, and of which a slope needs an octave. A
 #: density grows with f^4 at most: white noise of a displacement that was differentiated twice.
 _ABOVE, _OCTAVE, _STEEPEST = 1.5, 2.0, 4.0
-_STEADY = 1.5  # power of the frequency up to which a density counts as constant: half of what a derivative adds
+_STEADY = (
+    1.5  # power of the frequency up to which a density counts as constant: half of what a derivative adds
+)
 
 
 def floor_rms(
@@ -54,7 +56,9 @@ def spectral_floor(raw: Floats, conditioner: Conditioner) -> float:
     parts = np.lib.stride_tricks.sliding_window_view(raw, size)[:: max(1, size // 2)]
     powers = np.abs(np.fft.rfft((parts - parts.mean(axis=1, keepdims=True)) * window, axis=1)) ** 2
     # a periodogram is distributed exponentially
-    density = np.quantile(powers, _QUIETEST, axis=0) / -np.log1p(-_QUIETEST) * 2.0 / (rate * np.sum(window**2))
+    density = (
+        np.quantile(powers, _QUIETEST, axis=0) / -np.log1p(-_QUIETEST) * 2.0 / (rate * np.sum(window**2))
+    )
     f = np.fft.rfftfreq(size, 1.0 / rate)
     above = np.flatnonzero((f >= _ABOVE * spec.cutoff) & (f <= 0.9 * 0.5 * rate))
     if above.size < 4:

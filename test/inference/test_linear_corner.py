@@ -33,7 +33,9 @@ def corner(repository: Path) -> Twin:
     )
 
 
-def recorded(twin: Twin, seed: int, force: float = 0.0, name: str = "run", seconds: float = 12.0) -> RigRecord:
+def recorded(
+    twin: Twin, seed: int, force: float = 0.0, name: str = "run", seconds: float = 12.0
+) -> RigRecord:
     """A run on a random road that begins at rest, with an actuator of ``force`` N rms."""
     rng, t = np.random.default_rng(seed), np.arange(0.0, seconds, 1.0 / RATE)
     road = lfilter(*butter(1, 1.0, fs=RATE), 0.02 * rng.standard_normal(t.size)) * np.clip(t, 0.0, 1.0)

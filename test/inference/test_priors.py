@@ -123,7 +123,9 @@ def test_a_key_is_found_by_itself_or_by_its_pattern() -> None:
     for number in (0, 3, 12):
         assert prior_of(f"vehicle.stations.{number}.damping") is PRIORS["vehicle.stations.*.damping"]
     rigs = prior_of("vehicle.tyre.damping", "quarter_car")
-    assert rigs is PRIORS["quarter_car:vehicle.tyre.damping"] is not prior_of("vehicle.tyre.damping", "full_car")
+    assert (
+        rigs is PRIORS["quarter_car:vehicle.tyre.damping"] is not prior_of("vehicle.tyre.damping", "full_car")
+    )
     for key in ("vehicle.stations.x.damping", "vehicle.wheelbase", "vehicle.front.spring.force.0", ""):
         assert prior_of(key) is None
 

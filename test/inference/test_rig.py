@@ -155,7 +155,7 @@ def test_displacements_are_compared_as_the_accelerations_that_they_hold(corner: 
 
 
 def test_the_floor_of_displacements_is_not_that_of_white_noise(corner: Twin, drops: RigRecord) -> None:
-    """Encoders of 2 µm: twice differentiated, their noise lies at high frequencies, where the low-pass takes it away."""
+    """Encoders of 2 µm: twice differentiated, their noise lies at high frequencies, where the low-pass removes it."""
     rng, record = np.random.default_rng(1), displaced(corner, 500.0)
     noisy = {
         k: v + (2e-6 * rng.standard_normal(v.size) if k.endswith("_displacement") else 0.0)
@@ -178,8 +178,12 @@ def test_repeats_are_of_one_program_although_an_actuator_repeats_to_some_per_cen
 ) -> None:
     """Each with its own road; a run of equal rows with other stamps is another program."""
     road = drops.columns["road_displacement"]
-    off = sosfiltfilt(butter(2, 5.0, fs=250.0, output="sos"), np.random.default_rng(2).standard_normal(road.size))
-    again = replace(drops, columns={**drops.columns, "road_displacement": road + 0.07 * np.std(road) * off / np.std(off)})
+    off = sosfiltfilt(
+        butter(2, 5.0, fs=250.0, output="sos"), np.random.default_rng(2).standard_normal(road.size)
+    )
+    again = replace(
+        drops, columns={**drops.columns, "road_displacement": road + 0.07 * np.std(road) * off / np.std(off)}
+    )
     slower = replace(drops, t=1.01 * drops.t)
     paths = [written(r, tmp_path / f"{i}.csv") for i, r in enumerate((drops, drops, again, slower))]
     first, same, repeat, other = observe_runs(corner, paths)
@@ -226,7 +230,7 @@ def test_a_reference_is_no_witness_of_itself(corner: Twin, drops: RigRecord, tmp
 
 
 def test_a_bench_of_two_plates_is_calibrated_by_default(corner: Twin, tmp_path: Path) -> None:
-    """Kilograms on springs of newtons a millimetre, displacements 12 ms late, a force between the plates: the latency is
+    """Kilograms on springs of newtons a millimetre, responses 12 ms late, a force between the plates: the latency is
     found, written and said, so are the mass above and the damping below, and no linear model is better."""
     bench = corner.with_changes(
         {
@@ -251,7 +255,12 @@ def test_a_bench_of_two_plates_is_calibrated_by_default(corner: Twin, tmp_path: 
         record = RigRecord("run", t, {"road_displacement": road, "actuator_force": force, **noisy})
         paths.append(written(record, tmp_path / f"{seed}.csv"))
     start = bench.with_changes(
-        {"vehicle.sprung_mass": 2.4, "vehicle.tyre.damping": 0.0, "imu.latency": 0.0, "vehicle.unsprung_mass": 0.9}
+        {
+            "vehicle.sprung_mass": 2.4,
+            "vehicle.tyre.damping": 0.0,
+            "imu.latency": 0.0,
+            "vehicle.unsprung_mass": 0.9,
+        }
     )
     save_twin(start, tmp_path / "start.yaml")
     result = calibrate(CalibrationRequest(str(tmp_path / "start.yaml"), tuple(paths)))
