@@ -11,9 +11,9 @@ Up to this limit of one half (a gain of ln(2)/2 nats) the estimate is more the p
 for a Gaussian posterior weighs the two by their precisions. What is not identified follows the prior:
 *extrapolated* from identified parameters that the prior correlates with it (neighbouring segments of a
 characteristic), else *kept* at its start. A parameter that the prior correlates with no other is kept
-as well if its 90 % interval holds its start. What is kept is held there and the rest is fitted once more, unless a
-likelihood ratio test rejects the starts: then those that are farthest from theirs, in standard deviations, are
-identified too.
+as well if its 90 % interval holds its start and a likelihood ratio test does not reject the start. What is kept is held
+there and the rest is fitted once more, unless that rejects the starts by as many independent residuals as there are
+blocks of two seconds: then those that are farthest from theirs, in standard deviations, are identified too.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ from suspension_twin.inference.noise import NEAR_FLOOR, ScaledObjective, Whitene
 from suspension_twin.inference.objectives import Objective, Term
 from suspension_twin.inference.posterior import Posterior, Travel, posterior, span_of, travel
 from suspension_twin.inference.problem import JointPrior, Noise, Problem
+from suspension_twin.inference.runs import TWO_PERIODS
 from suspension_twin.inference.space import Curve, Space
 from suspension_twin.models.parameters import twin_value
 from suspension_twin.vehicle.twin import Twin
@@ -180,7 +181,9 @@ def _settle(
     sure = away / np.sqrt(np.diag(covariance)[:d])
     free = float(fit.sums_of_squares(x[:, None])[0])
     result, squares = held(kept)
-    while kept.any() and squares - free > chdtri(int(kept.sum()), _LEVEL):
+    # a residual that is model discrepancy is independent from block to block, not from sample to sample
+    blocks = fit.measured.values.shape[0] / (fit.measured.rate * TWO_PERIODS)
+    while kept.any() and blocks * np.log(squares / free) > chdtri(int(kept.sum()), _LEVEL):
         kept &= sure < min(HALF_WIDTH, float(sure[kept].max()))
         result, squares = held(kept)
     status = np.where(~kept & (status == "kept"), "identified", status)

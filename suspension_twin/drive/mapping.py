@@ -365,8 +365,8 @@ def read_mapped(mapping: Mapping, recordings: Sequence[RecordedFiles], label: st
 
 
 def read_mapped_rig(mapping: Mapping, recordings: Sequence[RecordedFiles], label: str) -> RigRecord:
-    """A run of a rig of the files that the mapping names: every quantity at the stamps of ``time`` that all reach, between
-    its own stamps along a cubic spline. Raises InputError naming file and column."""
+    """A run of a rig of the files that a mapping names: every quantity at the stamps of ``time`` that all reach,
+    along a cubic spline between its own. Raises InputError naming file and column."""
     spec = mapping.rig
     assert spec is not None
     streams = Streams(origin=f"mapping {Path(label).name}")
