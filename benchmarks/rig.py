@@ -41,8 +41,7 @@ from suspension_twin.diagnosis.run import diagnose
 from suspension_twin.drive.rig import RigRecord, read_rig, write_rig
 from suspension_twin.inference.linear_corner import linear_corner
 from suspension_twin.inference.runs import observe_runs, simulate_rig
-from suspension_twin.vehicle.quarter_car import QuarterCarTwin
-from suspension_twin.vehicle.twin import load_twin, save_twin
+from suspension_twin.vehicle.twin import Twin, load_twin, save_twin
 
 try:
     import mujoco
@@ -265,7 +264,7 @@ LOGGERS: dict[str, tuple[bool, float, Callable[[RigRecord], RigRecord]]] = {
 }
 
 
-def explained(twin: QuarterCarTwin, record: RigRecord) -> float:
+def explained(twin: Twin, record: RigRecord) -> float:
     """Share of the variance of the body acceleration below 20 Hz that a twin explains over a run."""
     run = simulate_rig(record, twin)
     measured, simulated = run.measured["body_acceleration"], run.simulated["body_acceleration"]

@@ -180,8 +180,9 @@ def refined(twin: Twin, kept: Sequence[str] = ()) -> Twin:
         at = np.append(at[at > 0.3 * static], max(static + points.end, x[-1]))
         changes[f"{key}.compression"] = tuple(at.round(4).tolist())
         changes[f"{key}.force"] = tuple(_along(x, force, at.round(4)).round(2).tolist())
-    if twin.model == "quarter_car" and not has_part(twin, "vehicle.tyre.damping"):
-        changes["vehicle.tyre.damping"] = 0.0
+    damping = OPTIONAL_PARTS["tyre_damping"].keys["damping"]
+    if damping in model_of(twin).also and not has_part(twin, damping):
+        changes[damping] = 0.0
     if twin.model in LINKAGE.models:
         for name in twin.axles:
             if not has_part(twin, f"vehicle.{name}.linkage"):

@@ -119,7 +119,8 @@ def linear_corner(
     first = [least_squares(residuals, start, max_nfev=_FEW) for start in starts]
     best = least_squares(residuals, min(first, key=lambda fit: fit.cost).x, max_nfev=_MANY)
     effective = sum(one.w.size for one in spectra) * len(channels)
-    covariance = np.linalg.pinv(best.jac.T @ best.jac) * 2.0 * best.cost / effective
+    jacobian = np.asarray(best.jac, dtype=np.float64)
+    covariance = np.linalg.pinv(jacobian.T @ jacobian) * 2.0 * best.cost / effective
     spread = float(np.sqrt(covariance[-1, -1]))
     return model(best.x), float(best.x[-1]) / spread if forced and spread > 0 else 0.0
 

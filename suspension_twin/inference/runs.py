@@ -359,7 +359,7 @@ def repeats(one: Observation, other: Observation) -> bool:
     """Whether two runs are of one program."""
     if isinstance(one.excitation, ObstacleRun) or isinstance(other.excitation, ObstacleRun):
         return one.excitation is other.excitation
-    return one.position[0] // _APART == other.position[0] // _APART
+    return bool(one.position[0] // _APART == other.position[0] // _APART)
 
 
 def _apart(one: Excitation, other: Excitation) -> float:

@@ -59,7 +59,7 @@ def spectral_floor(raw: Floats, conditioner: Conditioner) -> float:
     density = (
         np.quantile(powers, _QUIETEST, axis=0) / -np.log1p(-_QUIETEST) * 2.0 / (rate * np.sum(window**2))
     )
-    f = np.fft.rfftfreq(size, 1.0 / rate)
+    f: Floats = np.fft.rfftfreq(size, 1.0 / rate).astype(np.float64)
     above = np.flatnonzero((f >= _ABOVE * spec.cutoff) & (f <= 0.9 * 0.5 * rate))
     if above.size < 4:
         return white_noise_sigma(raw, rate) * _noise_gain(conditioner)
