@@ -322,7 +322,7 @@ class CalibrationResult(SearchSummary, Estimates):
 
     @property
     def _verdict(self) -> str:
-        """What the yardstick says where the twin is not up to it."""
+        """The yardstick in words where the twin is worse than it, else nothing."""
         lost = self.yardstick is not None and self.yardstick.lost
         return f"worse than a linear model of the same data: {self.yardstick}" if lost else ""
 

@@ -189,7 +189,7 @@ def straight(twin: Twin) -> Twin:
 
 
 def _of_repeats(runs: Sequence[Observation], channel: str) -> float:
-    """What a run explains of a repeat, the mean over all pairs; NaN without repeats."""
+    """Share that a run explains of a repeat, the mean over all pairs; NaN without repeats."""
     found = []
     for i, one in enumerate(runs):
         if not isinstance(one.excitation, Excitation) or one.reading is not None:
