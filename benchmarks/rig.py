@@ -12,7 +12,8 @@ command reads. Then, as with any rig:
 
     suspension-twin diagnose --twin DIR/twin.yaml DIR/gap/*.csv --reference DIR/reference/drops.csv --out DIR/found
 
-``--diagnose N`` makes N cases and diagnoses each, all effects in turn.
+``--diagnose N`` makes N cases and diagnoses each, all effects in turn. ``--loggers`` calibrates the corner on a random
+road as different loggers record it, and says what that explains of drops.
 """
 
 from __future__ import annotations
@@ -33,11 +34,14 @@ from rich.table import Table
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, lfilter, sosfilt, sosfilt_zi
 
+from suspension_twin.calibration.request import CalibrationRequest
+from suspension_twin.calibration.run import calibrate
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.diagnosis.run import diagnose
 from suspension_twin.drive.rig import RigRecord, read_rig, write_rig
-from suspension_twin.inference.runs import simulate_rig
-from suspension_twin.vehicle.twin import load_twin, save_twin
+from suspension_twin.inference.linear_corner import linear_corner
+from suspension_twin.inference.runs import observe_runs, simulate_rig
+from suspension_twin.vehicle.twin import Twin, load_twin, save_twin
 
 try:
     import mujoco
@@ -53,7 +57,10 @@ NOISE = {
     "body_acceleration": 0.03,
     "wheel_acceleration": 0.1,
     "suspension_deflection": 1e-4,
+    "body_displacement": 2e-6,
+    "wheel_displacement": 2e-6,
 }
+HEIGHTS = ("body_displacement", "wheel_displacement")
 
 
 @dataclass(frozen=True)
@@ -154,8 +161,16 @@ def road(kind: str, seconds: float, rng: np.random.Generator) -> CubicSpline:
     return CubicSpline(t, z * np.clip(t / 0.5, 0.0, 1.0) ** 2)
 
 
-def run_of(c: Corner, kind: str, seconds: float, rng: np.random.Generator, program: int = 0) -> RigRecord:
-    """One run as its transducers record it; runs of one ``program`` have the same road."""
+def run_of(
+    c: Corner,
+    kind: str,
+    seconds: float,
+    rng: np.random.Generator,
+    program: int = 0,
+    displacements: bool = False,
+) -> RigRecord:
+    """One run as its transducers record it, or as ones of ``displacements`` do; runs of one ``program`` have the same
+    road."""
     model, curve = model_of(c), road(kind, seconds, np.random.default_rng(program))
     data, step = mujoco.MjData(model), step_of(c)
     t, rest = np.arange(0.0, seconds, 1.0 / RATE), round(SETTLE / step)
@@ -163,24 +178,26 @@ def run_of(c: Corner, kind: str, seconds: float, rng: np.random.Generator, progr
     height, speed = curve(dense).tolist(), curve.derivative()(dense).tolist()
     weight = c.sprung * GRAVITY
     data.qpos[1] = -(weight + c.unsprung * GRAVITY) / c.tyre
-    read = np.empty((dense.size, 3))
+    read = np.empty((dense.size, 5))
     for k in range(-rest, dense.size):
         data.qpos[0], data.qvel[0] = height[max(k, 0)], speed[max(k, 0)]
-        travel, rate = float(data.qpos[2]), float(data.qvel[2:].sum())
+        wheel, travel, rate = float(data.qpos[1]), float(data.qpos[2]), float(data.qvel[2:].sum())
         damper = -c.damper(rate)
         data.qfrc_applied[2:] = damper
         data.qfrc_applied[2] += weight - c.spring * travel - c.stiffening * travel**3
         mujoco.mj_step(model, data)
         if k >= 0:  # the sensors show where the step began
-            read[k] = data.sensordata[2], data.sensordata[5], -travel
+            read[k] = data.sensordata[2], data.sensordata[5], -travel, wheel + travel, wheel
     read[:, 0] *= c.gain
     if c.cutoff:
         sos = butter(2, c.cutoff, fs=1.0 / step, output="sos")
         read[:, 0] = sosfilt(sos, read[:, 0], zi=sosfilt_zi(sos) * read[0, 0])[0]
     at = t - c.late - c.drift * t
     columns = {"road_displacement": curve(t)}
-    for i, name in enumerate(("body_acceleration", "wheel_acceleration", "suspension_deflection")):
-        columns[name] = np.interp(at, dense, read[:, i])
+    names = "body_acceleration", "wheel_acceleration", "suspension_deflection", *HEIGHTS
+    for i, name in enumerate(names):
+        if (name in HEIGHTS) == displacements:
+            columns[name] = np.interp(at, dense, read[:, i])
     noisy = {name: values + NOISE[name] * rng.standard_normal(t.size) for name, values in columns.items()}
     return RigRecord(kind, t, noisy)
 
@@ -219,6 +236,71 @@ def make(out: Path, seed: int, effect: str | None = None, seconds: float = 20.0)
     return answer
 
 
+def filtered(record: RigRecord) -> RigRecord:
+    """The run with accelerations behind an anti-aliasing filter of 40 Hz of their own."""
+    sos = butter(2, 40.0, fs=RATE, output="sos")
+    columns = {
+        k: sosfilt(sos, v - v[0]) if k.endswith("acceleration") else v for k, v in record.columns.items()
+    }
+    return replace(record, columns=columns)
+
+
+def differentiated(record: RigRecord) -> RigRecord:
+    """The run with body and wheel acceleration by second differences of their displacements."""
+    columns = dict(record.columns)
+    for name in HEIGHTS:
+        second = np.gradient(np.gradient(columns.pop(name), 1.0 / RATE), 1.0 / RATE)
+        columns[name.replace("displacement", "acceleration")] = second
+    return replace(record, columns=columns)
+
+
+#: How a corner is recorded: whether displacements are, how late all responses come in s, what is done to the channels.
+LOGGERS: dict[str, tuple[bool, float, Callable[[RigRecord], RigRecord]]] = {
+    "accelerometers": (False, 0.0, lambda record: record),
+    "accelerometers with a filter of 40 Hz": (False, 0.0, filtered),
+    "responses 25 ms late": (False, 0.025, lambda record: record),
+    "displacements": (True, 0.0, lambda record: record),
+    "displacements differentiated by hand": (True, 0.0, differentiated),
+}
+
+
+def explained(twin: Twin, record: RigRecord) -> float:
+    """Share of the variance of the body acceleration below 20 Hz that a twin explains over a run."""
+    run = simulate_rig(record, twin)
+    measured, simulated = run.measured["body_acceleration"], run.simulated["body_acceleration"]
+    return 1.0 - float(np.var(measured - simulated) / np.var(measured))
+
+
+def recorded(out: Path, seed: int, seconds: float) -> list[dict[str, str]]:
+    """A corner calibrated on the random road by each logger: what it explains of drops that were not used, beside the
+    linear corner of the same run."""
+    make(out, seed, "none", seconds)
+    twin, rows = load_twin(out / "twin.yaml"), []
+    for logger, (displacements, late, change) in LOGGERS.items():
+        folder = out / logger.replace(" ", "_")
+        runs = {}
+        for kind in ("random", "drops"):
+            rng = np.random.default_rng(seed)
+            runs[kind] = change(run_of(replace(Corner(), late=late), kind, seconds, rng, seed, displacements))
+            write_rig(runs[kind], folder / f"{kind}.csv", f"{kind}, {logger}, simulated by benchmarks/rig.py")
+        found = calibrate(CalibrationRequest(str(out / "twin.yaml"), (str(folder / "random.csv"),)))
+        used, drops = observe_runs(twin, [str(folder / f"{kind}.csv") for kind in ("random", "drops")])
+        linear = linear_corner([used], ["body_acceleration"])[0].signals(drops)["body_acceleration"]
+        measured = drops.measured["body_acceleration"]
+        rows.append(
+            {
+                "recorded by": logger,
+                "twin as written": f"{explained(twin, runs['drops']):.3f}",
+                "linear corner": f"{1.0 - float(np.var(measured - linear) / np.var(measured)):.3f}",
+                "calibrated": f"{explained(found.twin, runs['drops']):.3f}",
+                "latency, ms": f"{1e3 * found.twin.imu.latency:.1f}",
+                "seconds": f"{found.seconds:.0f}",
+            }
+        )
+        print(json.dumps(rows[-1]), file=sys.stderr, flush=True)
+    return rows
+
+
 def diagnosed(out: Path, seed: int, count: int, seconds: float) -> list[dict[str, float | str]]:
     """What the diagnosis says of each of ``count`` cases, beside what each has."""
     found = []
@@ -255,10 +337,18 @@ def main() -> int:
         "--diagnose", type=int, metavar="N", help="make N cases, each effect in turn, and diagnose them"
     )
     parser.add_argument("--json", action="store_true", help="figures as JSON on standard output")
+    parser.add_argument(
+        "--loggers", action="store_true", help="calibrate the corner as each kind of logger records it"
+    )
     given = parse_options(parser, seconds=5.0)
-    if given.diagnose:
-        answers = diagnosed(given.out, given.seed, given.diagnose, given.seconds)
-        table = Table(title="Diagnoses", title_justify="left", title_style="bold")
+    if given.diagnose or given.loggers:
+        answers: list[dict[str, float | str]] | list[dict[str, str]]
+        if given.loggers:
+            answers = recorded(given.out, given.seed, given.seconds)
+        else:
+            answers = diagnosed(given.out, given.seed, given.diagnose, given.seconds)
+        title = "Explained variance of drops that were not used" if given.loggers else "Diagnoses"
+        table = Table(title=title, title_justify="left", title_style="bold")
         for name in answers[0]:
             table.add_column(name.replace("_", " "))
         for row in answers:

@@ -21,19 +21,22 @@ from suspension_twin.calibration.request import (
     Estimate,
     NuisanceEstimate,
     SensorEstimate,
+    Yardstick,
 )
 from suspension_twin.calibration.searches import costs_of
 from suspension_twin.calibration.sensor import sensor_estimates, with_sensor
 from suspension_twin.calibration.setup import Setup
 from suspension_twin.calibration.uncertainty import HALF_WIDTH, Uncertainty, assess, curve_estimates
+from suspension_twin.calibration.yardstick import yardstick
 from suspension_twin.inference.gap import channel_unit
 from suspension_twin.inference.objectives import Objective
-from suspension_twin.inference.problem import Interrupted
+from suspension_twin.inference.problem import REACH, Interrupted
 from suspension_twin.vehicle.twin import Twin, value_at
 
 __all__ = ["conclude", "unfinished"]
 
 _DIGITS = 7
+LATENCY = "imu.latency"
 
 
 def unfinished(request: CalibrationRequest, twin: Twin, seconds: float) -> CalibrationResult:
@@ -58,6 +61,7 @@ def conclude(recorder: Recorder, outcome: SearchOutcome, start: float, began: fl
     space = setup.space
     drives: tuple[DriveFit, ...] = ()
     found: Uncertainty | None = None
+    measure: Yardstick | None = None
     stopped = outcome.stopped
     evaluations, nan = recorder.evaluations, float("nan")
     try:
@@ -73,6 +77,8 @@ def conclude(recorder: Recorder, outcome: SearchOutcome, start: float, began: fl
     try:
         if not stopped:
             drives = drive_fits(setup, outcome, twin, values)
+            if found is not None:
+                measure = yardstick(setup, outcome, np.array(found.status) == "kept")
             if setup.on_road:
                 check_agreement(
                     [d.name for d in drives], [d.correlation for d in drives], setup.drives[0].road.name
@@ -94,11 +100,18 @@ def conclude(recorder: Recorder, outcome: SearchOutcome, start: float, began: fl
         initial_cost=start,
         distance=nan if stopped else paper_distance(setup, twin),
         initial_distance=nan if stopped else paper_distance(setup, setup.original),
+        yardstick=measure,
         evaluations=evaluations,
         history=np.array(recorder.history).reshape(-1, 4),
         stopped=stopped,
         seconds=time.monotonic() - began,
-        warnings=(*setup.warnings, *_early(sensor), *_remarks(drives, setup, values), *_absorbed(found)),
+        warnings=(
+            *setup.warnings,
+            *_early(sensor),
+            *_late(setup, values, found),
+            *_remarks(drives, setup, values),
+            *_absorbed(found),
+        ),
     )
 
 
@@ -161,6 +174,22 @@ def _early(sensor: tuple[SensorEstimate, ...]) -> list[str]:
     ]
 
 
+def _late(setup: Setup, values: Floats, found: Uncertainty | None) -> list[str]:
+    """A warning where the responses on a rig come after or before what excites them, beyond three deviations."""
+    if found is None or LATENCY not in setup.space.keys:
+        return []
+    row = setup.space.keys.index(LATENCY)
+    low, value, high = (1e3 * float(v[row]) for v in (found.low, values, found.high))
+    start = 1e3 * setup.space.parameters[row].prior.typical
+    if abs(value - start) <= REACH * (high - low) / (2.0 * HALF_WIDTH):
+        return []
+    side = "after" if value > 0 else "before"
+    return [
+        f"the responses come {abs(value):.1f} ms {side} road and force ({low:.1f} to {high:.1f}): filters or clocks of "
+        f"the channels differ; {LATENCY} is written as {value:.1f} ms"
+    ]
+
+
 def _rounded(values: Floats) -> Floats:
     """To seven digits, as they are written."""
     return np.array([float(f"{v:.{_DIGITS}g}") for v in values])
@@ -193,7 +222,7 @@ def _estimates(setup: Setup, values: Floats, found: Uncertainty | None) -> tuple
             high=float(high[i]),
             lower=float(space.lower[i]),
             upper=float(space.upper[i]),
-            status="on bound" if bound[i] else status[i],
+            status="on bound" if bound[i] and status[i] != "kept" else status[i],
         )
         for i, key in enumerate(space.keys)
     )

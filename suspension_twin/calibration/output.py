@@ -93,6 +93,7 @@ def describe(result: CalibrationResult) -> Json:
             "initial": _number(result.initial_distance),
             "result": _number(result.distance),
         },
+        "explained_variance": _explained(result),
         "evaluations": result.evaluations,
         "generations": result.generations,
         "drives": [
@@ -145,6 +146,14 @@ def describe(result: CalibrationResult) -> Json:
         ],
         "warnings": list(result.warnings),
     }
+
+
+def _explained(result: CalibrationResult) -> Json | None:
+    measure = result.yardstick
+    if measure is None:
+        return None
+    shares = {name: _number(getattr(measure, name)) for name in ("twin", "linear", "repeat")}
+    return {"channel": measure.channel, "held_out": measure.held_out, **shares}
 
 
 def _number(value: float) -> float | None:

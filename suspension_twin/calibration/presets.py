@@ -180,6 +180,9 @@ def refined(twin: Twin, kept: Sequence[str] = ()) -> Twin:
         at = np.append(at[at > 0.3 * static], max(static + points.end, x[-1]))
         changes[f"{key}.compression"] = tuple(at.round(4).tolist())
         changes[f"{key}.force"] = tuple(_along(x, force, at.round(4)).round(2).tolist())
+    damping = OPTIONAL_PARTS["tyre_damping"].keys["damping"]
+    if damping in model_of(twin).also and not has_part(twin, damping):
+        changes[damping] = 0.0
     if twin.model in LINKAGE.models:
         for name in twin.axles:
             if not has_part(twin, f"vehicle.{name}.linkage"):
@@ -278,7 +281,7 @@ def _parameter(twin: Twin, key: str, preset: Preset, bounds: Mapping[str, tuple[
     if key.startswith("effects."):
         _, name, parameter = key.split(".")
         return effect(name, twin.model).parameter(parameter).about(key, nominal, given)
-    prior = prior_of(key)
+    prior = prior_of(key, twin.model)
     if prior is None:
         if given is None:
             raise InputError("free parameters", key, "needs bounds: nothing is known of how far it may go")

@@ -33,6 +33,7 @@ __all__ = [
     "Progress",
     "SearchSummary",
     "SensorEstimate",
+    "Yardstick",
 ]
 
 
@@ -174,6 +175,34 @@ class SensorEstimate:
     consistency: float = float("nan")
 
 
+@dataclass(frozen=True)
+class Yardstick:
+    """Share of the variance of a ``channel`` that is explained on ``held_out`` parts of the data: by the calibrated
+    ``twin``, by a ``linear`` model that was fitted to the same parts, and by a ``repeat`` of the same run; NaN for what
+    there is not."""
+
+    channel: str
+    held_out: str
+    twin: float
+    linear: float
+    repeat: float
+
+    @property
+    def lost(self) -> bool:
+        """Whether the linear model explains more, by more than a thousandth of the variance."""
+        return self.linear > self.twin + 1e-3
+
+    def __str__(self) -> str:
+        others = [
+            f"{words} {100 * value:.1f} %"
+            for words, value in (("a linear model", self.linear), ("one repeat of another", self.repeat))
+            if np.isfinite(value)
+        ]
+        beside = f" ({', '.join(others)})" if others else ""
+        name = self.channel.replace("_", " ")
+        return f"{100 * self.twin:.1f} % of the variance of the {name} explained on held-out {self.held_out}{beside}"
+
+
 @dataclass(frozen=True, eq=False)
 class Band:
     """An interval around a characteristic: abscissae (g,) m or m/s, lowest and highest force (g,) in N."""
@@ -288,7 +317,14 @@ class CalibrationResult(SearchSummary, Estimates):
     drives: tuple[DriveFit, ...] = ()
     distance: float = float("nan")
     initial_distance: float = float("nan")
+    yardstick: Yardstick | None = None
     warnings: tuple[str, ...] = ()
+
+    @property
+    def _verdict(self) -> str:
+        """The yardstick in words where the twin is worse than it, else nothing."""
+        lost = self.yardstick is not None and self.yardstick.lost
+        return f"worse than a linear model of the same data: {self.yardstick}" if lost else ""
 
     @property
     def is_worse(self) -> bool:
@@ -310,7 +346,9 @@ class CalibrationResult(SearchSummary, Estimates):
     @property
     def message(self) -> str:
         """One line: costs, gaps and how many parameters were identified."""
-        state = "stopped, the best so far: " if self.stopped else ""
+        state = (
+            "stopped, the best so far: " if self.stopped else f"{self._verdict}; " if self._verdict else ""
+        )
         if not self.drives:
             return f"{state}{self._change}"
         gaps = ", ".join(
@@ -330,9 +368,10 @@ class CalibrationResult(SearchSummary, Estimates):
             f"{len(self.estimates)} parameters: {self._counted or 'no uncertainty was computed'}",
             *([f"on a bound: {bounds}"] if bounds else []),
         ]
-        return bulleted(
-            f"Calibration of {self.twin.vehicle.name}, preset {self.preset}", lines, self.warnings
-        )
+        if self.yardstick is not None and not self._verdict:
+            lines.insert(len(self.drives), str(self.yardstick))
+        heading = f"Calibration of {self.twin.vehicle.name}, preset {self.preset}"
+        return bulleted(", ".join(filter(None, (heading, self._verdict))), lines, self.warnings)
 
     __repr__ = __str__
 

@@ -36,10 +36,10 @@ from suspension_twin.inference.observation import (
 )
 from suspension_twin.inference.priors import SINGLE
 from suspension_twin.inference.problem import Data, Interrupted, Likelihood, Problem, Simulation
-from suspension_twin.inference.runs import observe_runs
+from suspension_twin.inference.runs import is_actuated, observe_runs
 from suspension_twin.inference.sensor_correction import SensorCorrection
 from suspension_twin.inference.space import Space
-from suspension_twin.models.parameters import layout
+from suspension_twin.models.parameters import has_number, layout
 from suspension_twin.models.registry import model_of
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.road import Road
@@ -50,6 +50,7 @@ from suspension_twin.vehicle.twin import Twin, load_twin
 
 __all__ = ["Setup", "set_up"]
 
+SPRUNG_MASS = "vehicle.sprung_mass"
 _LONGEST_LAG = 1.0  # s
 _SURE = 0.02  # how much better the correlation has to become before a drive is moved in time
 
@@ -103,9 +104,15 @@ def set_up(
     nuisances = [k for k in request.freeze if k.startswith("nuisances.")]
     priors = OF_A_CALIBRATION.without(nuisances)
     frozen = [k for k in request.freeze if k not in nuisances]
-    space = build_space(twin, preset, request.free, also=request.also, freeze=frozen, bounds=bounds)
+
+    def space_with(also: Sequence[str]) -> Space:
+        return build_space(
+            twin, preset, request.free, also=[*request.also, *also], freeze=frozen, bounds=bounds
+        )
+
     if model_of(twin).recordings != "drive":
-        return _of_runs(request, original, twin, space, should_stop)
+        return _of_runs(request, original, twin, space_with, should_stop)
+    space = space_with(())
     own = set(preset.keys) & set(layout(twin).names)
     if preset.keys and not own and not request.free and not model_of(twin).opaque:
         text = f"searches {preset.keys[0]} and others, which a {twin.model} does not have: take fast or paper"
@@ -165,12 +172,17 @@ def _of_runs(
     request: CalibrationRequest,
     original: Twin,
     twin: Twin,
-    space: Space,
+    space_with: Callable[[Sequence[str]], Space],
     should_stop: Callable[[], bool],
 ) -> Setup:
-    """The problem over controlled runs; with a preset that says so the slowest are fitted, the others validate."""
+    """The problem over controlled runs; with a preset that says so the slowest are fitted, the others validate.
+
+    A known force between the masses of a corner weighs them: then the sprung mass is free as well.
+    """
     preset = preset_named(request.preset)
     runs = observe_runs(twin, request.bags)
+    weighed = has_number(twin, SPRUNG_MASS) and not request.free and any(map(is_actuated, runs))
+    space = space_with([SPRUNG_MASS] if weighed else [])
     slowest = min(float(np.abs(r.along).mean()) for r in runs)
     alike = SINGLE["repeated_speed"] * slowest
     fitted = [r for r in runs if not preset.slowest or float(np.abs(r.along).mean()) <= alike]
@@ -204,9 +216,12 @@ def objective_terms(
 
 
 def _weighted(channels: dict[str, float], drives: Sequence[Observation]) -> dict[str, float]:
-    """Weights of channels; 0 stands for the inverse of the channel's noise floor, in units of the first's."""
+    """Weights of channels; 0 stands for the inverse of the unit in which its residual counts, the noise floor of a
+    drive, in units of the first's."""
     floors = {
-        c: float(np.mean([d.noise_rms[c] for d in drives])) for c in channels if c in drives[0].noise_rms
+        c: float(np.mean([d.usage.unit.get(c, d.noise_rms[c]) for d in drives]))
+        for c in channels
+        if c in drives[0].noise_rms
     }
     unit = floors.get("vertical_acceleration", next(iter(floors.values()), 1.0))
     return {c: w if w > 0 else unit / max(floors.get(c, unit), 1e-12) for c, w in channels.items()}

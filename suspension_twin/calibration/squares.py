@@ -36,6 +36,7 @@ _PLACE_CLOCK, _PLACE_MAP = 2e-3, 2e-2
 #: Standard deviations of the random restarts of a search with a named objective.
 _SHAKES = (2.0, 4.0, 4.0)
 _NEAREST_CORNER = 0.003  # m
+_LATENCY = "imu.latency"
 
 
 @dataclass(frozen=True)
@@ -154,6 +155,8 @@ class _Fit:
         for curve in space.curves:
             rows = [r for r in curve.rows if r >= 0]
             starts[rows] += 0.4 * rng.standard_normal(BATCH)
+        if _LATENCY in space.keys:  # no gradient leads over half a period of the fastest motion
+            starts[space.keys.index(_LATENCY)] += 2.0 * rng.standard_normal(BATCH)
         starts[:, 0] = space.z0
         objective = self.recorder.setup.objective
         values = space.from_slopes(starts)

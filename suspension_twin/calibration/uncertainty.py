@@ -11,8 +11,9 @@ Up to this limit of one half (a gain of ln(2)/2 nats) the estimate is more the p
 for a Gaussian posterior weighs the two by their precisions. What is not identified follows the prior:
 *extrapolated* from identified parameters that the prior correlates with it (neighbouring segments of a
 characteristic), else *kept* at its start. A parameter that the prior correlates with no other is kept
-as well if its 90 % interval holds its start and a likelihood ratio test does not reject the start. What
-is kept is held there and the rest is fitted once more.
+as well if its 90 % interval holds its start and a likelihood ratio test does not reject the start. What is kept is held
+there and the rest is fitted once more, unless that rejects the starts by as many independent residuals as there are
+blocks of two seconds: then those that are farthest from theirs, in standard deviations, are identified too.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ from suspension_twin.inference.noise import NEAR_FLOOR, ScaledObjective, Whitene
 from suspension_twin.inference.objectives import Objective, Term
 from suspension_twin.inference.posterior import Posterior, Travel, posterior, span_of, travel
 from suspension_twin.inference.problem import JointPrior, Noise, Problem
+from suspension_twin.inference.runs import TWO_PERIODS
 from suspension_twin.inference.space import Curve, Space
 from suspension_twin.models.parameters import twin_value
 from suspension_twin.vehicle.twin import Twin
@@ -176,10 +178,18 @@ def _settle(
         return at, float(fit.sums_of_squares(at[:, None])[0])
 
     kept = status == "kept"
+    sure = away / np.sqrt(np.diag(covariance)[:d])
+    free = float(fit.sums_of_squares(x[:, None])[0])
+    result, squares = held(kept)
+    # a residual that is model discrepancy is independent from block to block, not from sample to sample
+    blocks = fit.measured.values.shape[0] / (fit.measured.rate * TWO_PERIODS)
+    while kept.any() and blocks * np.log(squares / free) > chdtri(int(kept.sum()), _LEVEL):
+        kept &= sure < min(HALF_WIDTH, float(sure[kept].max()))
+        result, squares = held(kept)
+    status = np.where(~kept & (status == "kept"), "identified", status)
     far = kept & (away > HALF_WIDTH * np.sqrt(np.diag(prior)))
     absorbed = np.where(far, problem.space.from_slopes(x[:d]), np.nan)
-    result, squares = held(kept)
-    near = away <= HALF_WIDTH * np.sqrt(np.diag(covariance)[:d])
+    near = sure <= HALF_WIDTH
     tested = identified & near & (coupled.sum(axis=1) == 1)
     if tested.any():
         other, more = held(kept | tested)

@@ -164,6 +164,14 @@ def command(
                 calibration_page(result).write(path)
         store.remove()
     console = output()
+    if result.yardstick is not None:
+        lost = result.yardstick.lost
+        words = (
+            f"worse than a linear model of the same data: {result.yardstick}"
+            if lost
+            else str(result.yardstick)
+        )
+        console.print(words, style="bold red" if lost else "")
     for warning in result.warnings:
         console.print(warning, style="yellow")
     print_result(console, result)

@@ -11,8 +11,9 @@ from rich.padding import Padding
 
 from suspension_twin.cli.common import Force, Outputs, output
 from suspension_twin.drive.checks import summarise
-from suspension_twin.drive.importing import import_drive
+from suspension_twin.drive.importing import import_drive, import_rig
 from suspension_twin.drive.read import Topics
+from suspension_twin.drive.rig import write_rig
 from suspension_twin.drive.write import BagWriter, write_drive
 from suspension_twin.signals.offline import turns_said
 
@@ -35,7 +36,9 @@ def command(
     out: Annotated[
         Path,
         typer.Option(
-            "--out", metavar="BAG", help="The bag to write: a folder, or a file if it ends in .mcap."
+            "--out",
+            metavar="BAG",
+            help="The bag to write: a folder, or a file if it ends in .mcap; of a run of a rig a .csv file.",
         ),
     ],
     mapping: Annotated[
@@ -67,6 +70,19 @@ def command(
     """
     console = output()
     outputs = Outputs(out, force=force)
+    if mapping is not None and out.suffix == ".csv":
+        with outputs:
+            record = import_rig(files, mapping)
+            outputs.announce()
+            write_rig(record, out, f"{record.name}, by {mapping.name}")
+            rate = (record.t.size - 1) / (record.t[-1] - record.t[0])
+            console.print(
+                f"{record.name}: {record.t[-1]:.1f} s at {rate:.4g} Hz, {', '.join(record.columns)}"
+            )
+            for text in record.warnings:
+                console.print(f"  warning: {text}")
+        console.print(f"Written to {out}")
+        return
     BagWriter(out, overwrite=force)  # replaces nothing but a recording
     topics = Topics(imu=imu_topic, fix=fix_topic, vel=vel_topic, heading=heading_topic)
     with outputs:

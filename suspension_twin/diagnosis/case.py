@@ -42,11 +42,12 @@ from suspension_twin.inference.problem import (
     effective_weight,
     whitener_of,
 )
-from suspension_twin.inference.runs import observe_runs
+from suspension_twin.inference.runs import observe_runs, repeats
 from suspension_twin.inference.sensor_correction import Turn
 from suspension_twin.inference.smooth_space import smooth_space
 from suspension_twin.inference.space import Space
-from suspension_twin.models.parameters import has_number
+from suspension_twin.models.excitation import coarser
+from suspension_twin.models.parameters import has_number, twin_value
 from suspension_twin.models.registry import model_of
 from suspension_twin.road import flat_road
 from suspension_twin.signals.common_rate import on_common_rate
@@ -66,6 +67,8 @@ SHORTEST = 8.0
 _INACCURATE = 0.1
 #: Longest time step of the simulation in s: signals differ by 0.2 % of their rms from those in steps of 1 ms.
 _STEP = 2.5e-3
+#: Time step as a share of the period of a wheel on its tyre: 2.5 ms of 12 Hz.
+_OF_A_PERIOD = 0.03
 #: Free beside the characteristics: parameters that no weighbridge measures.
 ALSO = (
     "vehicle.sprung_inertia.roll",
@@ -179,18 +182,27 @@ def _check(request: DiagnosisRequest, twin: Twin) -> None:
 
 def _runs(twin: Twin, runs: Sequence[Observation], active: tuple[bool, ...]) -> Case:
     """Controlled runs, of a vehicle with somebody who drives it."""
-    driven = [r.excitation for r, a in zip(runs, active, strict=True) if not a]
-    lone = {
-        r.name
-        for r, a in zip(runs, active, strict=True)
-        if a and not any(r.excitation is known for known in driven)
-    }
+    before = [r for r, a in zip(runs, active, strict=True) if not a]
+    after = [r for r, a in zip(runs, active, strict=True) if a]
+    lone = {r.name for r in after if not any(repeats(r, known) for known in before)}
     warnings = [w for r in runs for w in r.warnings]
     if lone and not all(active):
         warnings.append(
             f"no reference with the excitation of {', '.join(sorted(lone))}: the model alone is expected"
         )
-    return Case(model_of(twin).prepared(twin), tuple(runs), active, tuple(warnings))
+    return Case(model_of(twin).prepared(twin), tuple(_in_coarse_steps(twin, runs)), active, tuple(warnings))
+
+
+def _in_coarse_steps(twin: Twin, runs: Sequence[Observation]) -> list[Observation]:
+    """Runs on a rig in the longest time steps that a diagnosis takes, of a light wheel on a stiff tyre in shorter ones;
+    runs that share an excitation still do."""
+    if not has_number(twin, "vehicle.unsprung_mass") or model_of(twin).recordings != "rig":
+        return list(runs)
+    stiffness, mass = (twin_value(twin, f"vehicle.{k}") for k in ("tyre.vertical_stiffness", "unsprung_mass"))
+    step = min(_STEP, _OF_A_PERIOD * 2.0 * np.pi * float(np.sqrt(mass / stiffness)))
+    known = {id(r.excitation): r.road_excitation for r in runs}
+    fewer = {key: coarser(one, step) if step > one.max_step else one for key, one in known.items()}
+    return [replace(r, excitation=fewer[id(r.excitation)]) for r in runs]
 
 
 def build(case: Case, stop: Callable[[], bool], free: Sequence[str] = ()) -> Problem:
@@ -322,7 +334,8 @@ def _floors(problem: Problem) -> list[dict[str, float]]:
 def _repeated(case: Case, problem: Problem, x: Floats) -> Problem:
     """The problem of controlled runs whose expected discrepancy is the residual of their references.
 
-    The discrepancy of a sound vehicle is known, so the vehicle is held as the references show it. The model reproduces
+    A reference is no witness of itself: what is expected of it is what others of its program leave, or nothing. The
+    discrepancy of a sound vehicle is known, so the vehicle is held as the references show it. The model reproduces
     a change no better than the sound vehicle: half of its residual there is noise of the change, beside the scatter of
     repeats.
     """
@@ -331,8 +344,8 @@ def _repeated(case: Case, problem: Problem, x: Floats) -> Problem:
     ends = np.cumsum([0, *(r.size for r in data.rows)])
     quiet = [j for j, active in enumerate(data.active) if not active]
     expected: list[Floats | None] = []
-    for part in data.parts:
-        same = [j for j in quiet if data.parts[j].excitation is part.excitation]
+    for number, part in enumerate(data.parts):
+        same = [j for j in quiet if j != number and repeats(part, data.parts[j])]
         off = [
             np.stack([np.interp(part.t, data.parts[j].t, c) for c in missed[ends[j] : ends[j + 1]].T], axis=1)
             for j in same

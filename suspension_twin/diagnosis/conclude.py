@@ -41,8 +41,11 @@ from suspension_twin.vehicle.twin import Twin
 __all__ = ["conclude"]
 
 
-def conclude(request: DiagnosisRequest, case: Case, judged: Judged, seconds: float) -> DiagnosisResult:
-    """The document of diagnosis.json, its evidence, the twin with what was found, and what the report shows."""
+def conclude(
+    request: DiagnosisRequest, case: Case, judged: Judged, seconds: float, foreign: bool = False
+) -> DiagnosisResult:
+    """The document of diagnosis.json, its evidence, the twin with what was found, and what the report shows; with a
+    ``foreign`` reference, of another vehicle or set-up, the answer is unknown."""
     bags, reference = ([str(Path(b).resolve()) for b in own] for own in (request.bags, request.reference))
     asked = {"bags": bags, "reference": reference, "effects": list(request.effects)}
     rows = {
@@ -50,6 +53,8 @@ def conclude(request: DiagnosisRequest, case: Case, judged: Judged, seconds: flo
         "asked": asked,
         **evidence_of(case, judged, request.seed),
     }
+    if foreign:
+        rows["case"]["foreign_reference"] = True
     add_intervals(case, judged, rows)
     rows["base"]["recalibrated"] = recalibrated(judged, case.twin, request.seed) if case.excited else []
     decision = decide(rows, request.costs)

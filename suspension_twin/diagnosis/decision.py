@@ -257,6 +257,8 @@ def decide(evidence: Json, costs: Costs | None = None, weights: Weights | None =
     answers = answers_of(evidence)
     utility = np.stack([a.features for a in answers]) @ known.values
     probability = np.exp(utility - utility.max())
+    if evidence["case"].get("foreign_reference"):  # nothing that was expected of this vehicle holds
+        probability = np.array([float(a.causes == ("unknown",) and a.row is None) for a in answers])
     probability /= probability.sum()
     masses: dict[tuple[str, ...], float] = {}
     for answer, p in zip(answers, probability, strict=True):

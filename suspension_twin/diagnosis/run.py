@@ -26,7 +26,6 @@ from suspension_twin.diagnosis.judge import Judged, judge, with_joint_noise
 from suspension_twin.diagnosis.library import SETUP_CATEGORIES
 from suspension_twin.diagnosis.request import DiagnosisProgress, DiagnosisRequest, DiagnosisResult
 from suspension_twin.effects.registry import EFFECTS
-from suspension_twin.errors import InputError
 from suspension_twin.inference.checkpoint import Checkpoint, Rounds, code_digest
 from suspension_twin.inference.observation import content_digest
 from suspension_twin.inference.parallel import one_blas_thread
@@ -96,7 +95,9 @@ def diagnose(
             return alike
         if found is not None:
             return found
-        raise InputError(_references(case), f"{_missed(level)}; leave it out or give the right one")
+        reason = f"{_references(case)}: {_missed(level)}; leave it out or give the right one"
+        case = replace(case, warnings=(*case.warnings, reason))
+        return conclude(request, case, judged, time.monotonic() - began, foreign=True)
 
 
 def _references(case: Case) -> str:

@@ -9,16 +9,17 @@ from pathlib import Path
 
 from suspension_twin.drive.foreign_files import RecordedFiles
 from suspension_twin.drive.importers import read_source
-from suspension_twin.drive.mapping import BagSpec, load_mapping, read_mapped
+from suspension_twin.drive.mapping import BagSpec, load_mapping, read_mapped, read_mapped_rig
 from suspension_twin.drive.read import Topics, read_drive
 from suspension_twin.drive.recording import is_recording
+from suspension_twin.drive.rig import RigRecord
 from suspension_twin.drive.streams import assemble, merge, with_velocities
 from suspension_twin.drive.types import Drive
 from suspension_twin.drive.units import imu_in_si
 from suspension_twin.errors import InputError
 from suspension_twin.files import reading
 
-__all__ = ["Imported", "import_drive"]
+__all__ = ["Imported", "import_drive", "import_rig"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +91,8 @@ def import_drive(
     files = ", ".join(map(str, paths))
     with reading(files, "a recording"):
         spec = None if mapping is None else load_mapping(mapping)
+        if spec is not None and spec.rig is not None:
+            raise InputError(str(mapping), "rig", "maps a run of a rig: import it to a .csv file")
         if spec is not None and spec.bag is not None:
             return _mapped_bag(Path(paths[0]), spec.bag, spec.name)
         if spec is None and (bags := [path for path in paths if is_recording(path)]):
@@ -104,6 +107,15 @@ def import_drive(
         name = spec.name if spec is not None and spec.name else recordings[0].name
         drive, notes = assemble(streams, name, files)
         return Imported(drive, streams.origin, tuple(notes))
+
+
+def import_rig(paths: Sequence[str | Path], mapping: str | Path) -> RigRecord:
+    """The run of a rig that a mapping file with a section ``rig`` makes of files; InputError names file and column."""
+    spec = load_mapping(mapping)
+    if spec.rig is None:
+        raise InputError(str(mapping), "rig", "is missing: a .csv file is written of a run of a rig alone")
+    with reading(", ".join(map(str, paths)), "a run of a rig"):
+        return read_mapped_rig(spec, [RecordedFiles(path) for path in paths], str(mapping))
 
 
 def _bag(path: str | Path, topics: Topics, lag: float = 0.0) -> Imported:

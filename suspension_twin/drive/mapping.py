@@ -6,6 +6,7 @@ The files in ``config/import`` are worked examples of it.
 
 from __future__ import annotations
 
+import fnmatch
 import math
 from collections.abc import Mapping as MappingOf
 from collections.abc import Sequence
@@ -15,6 +16,7 @@ from typing import Annotated, Final, Literal
 
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
+from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from suspension_twin.arrays import Floats
@@ -30,6 +32,7 @@ from suspension_twin.drive.clocks import (
 from suspension_twin.drive.foreign_files import DataTable, RecordedFiles, read_table
 from suspension_twin.drive.importers import IMPORTERS, read_source
 from suspension_twin.drive.mdf import MDF_MAGIC, MeasuredTable, open_mdf
+from suspension_twin.drive.rig import QUANTITIES, RigRecord, checked_rig, rig_unit
 from suspension_twin.drive.stamps import began_again, unwrapped
 from suspension_twin.drive.streams import Series, Streams
 from suspension_twin.drive.types import FixData, HeadingData, VelocityData
@@ -38,7 +41,7 @@ from suspension_twin.files import read_yaml, reader
 from suspension_twin.schema import Strict, checked
 from suspension_twin.units import STANDARD_GRAVITY
 
-__all__ = ["BagSpec", "Mapping", "load_mapping", "read_mapped"]
+__all__ = ["BagSpec", "Mapping", "load_mapping", "read_mapped", "read_mapped_rig"]
 
 FORCE_UNITS: Final = {
     "m/s2": 1.0,
@@ -264,8 +267,36 @@ class BagSpec(Strict):
     lag: Number = 0.0  # of the IMU's stamps against the others, s
 
 
+class RigColumnSpec(FileSpec):
+    """One quantity of a run of a rig: a ``column`` in a ``unit``, with the ``sign`` that makes upwards, compression and
+    a force that pushes the body up positive; ``time`` where it has stamps of its own."""
+
+    column: Column
+    unit: str
+    sign: Literal[1, -1] = 1
+    time: TimeSpec | None = None
+
+
+class RigSpec(FileSpec):
+    """A run of a rig: its ``time``, and columns by quantity; those of several files are joined."""
+
+    time: TimeSpec
+    columns: dict[str, RigColumnSpec]
+
+    @model_validator(mode="after")
+    def _check(self) -> RigSpec:
+        for name, spec in self.columns.items():
+            known = [q for q in QUANTITIES if q != "time"]
+            if name not in known:
+                raise ValueError(f"columns: {name} is none of {', '.join(known)}")
+            units = QUANTITIES[name][0]
+            if rig_unit(spec.unit) not in units:
+                raise ValueError(f"columns: {name}: unit must be one of {', '.join(units)}, is {spec.unit!r}")
+        return self
+
+
 class Mapping(Strict):
-    """One recording: ``imu`` (and ``fix``, ``vel``, ``heading``) from tables, or ``bag``."""
+    """One recording: ``imu`` (and ``fix``, ``vel``, ``heading``) from tables, or ``bag``, or a run of a ``rig``."""
 
     name: str | None = None
     imu: ImuSpec | None = None
@@ -273,13 +304,19 @@ class Mapping(Strict):
     vel: VelocitySpec | None = None
     heading: HeadingSpec | None = None
     bag: BagSpec | None = None
+    rig: RigSpec | None = None
 
     @model_validator(mode="after")
     def _check(self) -> Mapping:
-        if (self.imu is None) == (self.bag is None):
-            raise ValueError("name either imu (with fix and vel) or bag")
-        if self.bag is not None and (self.fix or self.vel or self.heading):
-            raise ValueError("bag: fix, vel and heading are topics of the bag")
+        if sum(part is not None for part in (self.imu, self.bag, self.rig)) != 1:
+            raise ValueError("name either imu (with fix and vel), bag or rig")
+        if self.imu is None and (self.fix or self.vel or self.heading):
+            fault = (
+                "bag: fix, vel and heading are topics of the bag"
+                if self.bag
+                else "rig: has no fix, vel or heading"
+            )
+            raise ValueError(fault)
         return self
 
 
@@ -327,6 +364,36 @@ def read_mapped(mapping: Mapping, recordings: Sequence[RecordedFiles], label: st
     return streams
 
 
+def read_mapped_rig(mapping: Mapping, recordings: Sequence[RecordedFiles], label: str) -> RigRecord:
+    """A run of a rig of the files that a mapping names: every quantity at the stamps of ``time`` that all reach,
+    along a cubic spline between its own. Raises InputError naming file and column."""
+    spec = mapping.rig
+    assert spec is not None
+    streams = Streams(origin=f"mapping {Path(label).name}")
+    files = _Files(recordings, streams)
+    t = _time(files, spec.time, spec)
+    series: dict[str, tuple[Floats, Floats]] = {}
+    for name, one in spec.columns.items():
+        table = files.table(one, spec)
+        own = one if one.file is not None else spec
+        stamps = t if one.time is None else _time(files, one.time, own)
+        values = table.numbers(one.column) * one.sign * QUANTITIES[name][0][rig_unit(one.unit)]
+        if stamps.size != values.size:
+            raise InputError(
+                table.label, name, f"{values.size} rows for {stamps.size} stamps: give it a time"
+            )
+        good = np.isfinite(stamps) & np.isfinite(values)
+        if good.sum() < 4 or (np.diff(stamps[good]) <= 0).any():
+            raise InputError(table.label, name, "needs rising stamps and numbers in four rows or more")
+        series[name] = stamps[good], values[good]
+    begin = max([t[0], *(s[0] for s, _ in series.values())])
+    end = min([t[-1], *(s[-1] for s, _ in series.values())])
+    kept = t[(t >= begin) & (t <= end)]
+    columns = {name: CubicSpline(s, v)(kept) for name, (s, v) in series.items()}
+    name = mapping.name or recordings[0].name
+    return checked_rig(label, name, {"time": kept - kept[0], **columns}, tuple(streams.warnings))
+
+
 class _Files:
     """The recordings given, and tables parsed from their files once each."""
 
@@ -340,6 +407,8 @@ class _Files:
         for recording in self.recordings:
             if found := recording.find(name):
                 return recording, found
+            if alike := fnmatch.filter(recording.names, name):
+                return recording, alike[0]
         for recording in self.recordings:
             beside = recording.path.parent / name
             if beside.is_file():

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, make_interp_spline
 
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.contents import Contents, decode_topic
@@ -27,7 +27,7 @@ from suspension_twin.errors import InputError
 from suspension_twin.files import comment_lines, read_bytes, reader, replacing
 from suspension_twin.units import STANDARD_GRAVITY
 
-__all__ = ["QUANTITIES", "RigRecord", "read_rig", "write_rig"]
+__all__ = ["QUANTITIES", "RigRecord", "checked_rig", "read_rig", "rig_unit", "write_rig"]
 
 _LENGTH: Final = {"m": 1.0, "mm": 1e-3}
 _SPEED: Final = {"m_s": 1.0, "mm_s": 1e-3}
@@ -38,7 +38,9 @@ QUANTITIES: Final[Mapping[str, tuple[Mapping[str, float], float]]] = {
     "time": ({"s": 1.0, "ms": 1e-3}, np.inf),
     "road_displacement": (_LENGTH, 2.0),
     "road_velocity": (_SPEED, 20.0),
-    "body_acceleration": (_ACCELERATION, 500.0),
+    "body_displacement": (_LENGTH, 5.0),
+    "wheel_displacement": (_LENGTH, 5.0),
+    "body_acceleration": (_ACCELERATION, 5000.0),
     "wheel_acceleration": (_ACCELERATION, 5000.0),
     "suspension_deflection": (_LENGTH, 2.0),
     "tyre_force": (_FORCE, 1e6),
@@ -46,6 +48,7 @@ QUANTITIES: Final[Mapping[str, tuple[Mapping[str, float], float]]] = {
 }
 _LARGEST: Final = 1 << 30  # bytes of a table
 _ROAD: Final = ("road_displacement", "road_velocity")
+_BODY: Final = ("body_acceleration", "body_displacement")
 _ACCELEROMETERS: Final = {"/imu/data_raw": "body_acceleration", "/wheel/imu/data_raw": "wheel_acceleration"}
 _JOINTS: Final = "/joint_states"
 _FIELDS: Final = {
@@ -69,34 +72,63 @@ class RigRecord:
     columns: Mapping[str, Floats]
     warnings: tuple[str, ...] = ()
 
+    def channel(self, name: str) -> Floats | None:
+        """(n,) a response as it was measured, or as it follows from measured displacements: an acceleration as the
+        second derivative of a quintic spline, a deflection as a difference; None where it is neither."""
+        columns = self.columns
+        if name in columns:
+            return columns[name]
+        if name == "suspension_deflection" and {"body_displacement", "wheel_displacement"} <= set(columns):
+            return columns["wheel_displacement"] - columns["body_displacement"]
+        moved = columns.get(name.replace("acceleration", "displacement"))
+        if moved is None or not name.endswith("acceleration"):
+            return None
+        t = self.t - self.t[0]
+        return np.asarray(make_interp_spline(t, moved, 5).derivative(2)(t))
+
 
 @reader("a run of a rig")
 def read_rig(path: str | Path) -> RigRecord:
     """A run from a CSV or a recording; InputError names the file and the quantity that is wrong or missing."""
     path = Path(path)
-    return _checked(path, *(_of_recording if path.is_dir() or is_recording(path) else _of_table)(path))
+    columns, warnings = (_of_recording if path.is_dir() or is_recording(path) else _of_table)(path)
+    return checked_rig(path, path.stem, columns, tuple(warnings))
 
 
-def _checked(path: Path, columns: dict[str, Floats], warnings: list[str]) -> RigRecord:
-    for name in ("time", "body_acceleration"):
-        if name not in columns:
-            raise InputError(path, name, f"is missing, there are {', '.join(columns) or 'no known columns'}")
+def rig_unit(text: str) -> str:
+    """A unit as headers have it: ``m_s2`` of ``[m/s²]``."""
+    plain = text.casefold().replace("²", "2").replace("^", "").replace("/", "_")
+    return re.sub(r"[\s\[\]()]|^_+", "", plain.strip(" _"))
+
+
+def checked_rig(
+    path: str | Path, name: str, columns: dict[str, Floats], warnings: tuple[str, ...]
+) -> RigRecord:
+    """A run of columns (n,) in SI units, ``time`` among them; InputError names what is missing or wrong."""
+    there = ", ".join(columns) or "no known columns"
+    if "time" not in columns:
+        hint = "; a mapping file names the columns of any other table (import --mapping)"
+        raise InputError(path, "time", f"is missing, there are {there}{hint}")
+    if not set(_BODY) & set(columns):
+        raise InputError(
+            path, "body_acceleration", f"is missing, there are {there}; body_displacement would do"
+        )
     if not set(_ROAD) & set(columns):
         raise InputError(
             path, "road_displacement", "is missing, and so is road_velocity: one of them is needed"
         )
-    for name, values in columns.items():
+    for quantity, values in columns.items():
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
-            raise InputError(path, name, f"is no number in row {bad[0] + 1}: cut or fill the gap")
-        if np.ptp(values) > QUANTITIES[name][1]:
-            unit = next(iter(QUANTITIES[name][0]))
-            raise InputError(path, name, f"ranges over {np.ptp(values):.3g} {unit}: is its unit another?")
+            raise InputError(path, quantity, f"is no number in row {bad[0] + 1}: cut or fill the gap")
+        if np.ptp(values) > QUANTITIES[quantity][1]:
+            unit = next(iter(QUANTITIES[quantity][0]))
+            raise InputError(path, quantity, f"ranges over {np.ptp(values):.3g} {unit}: is its unit another?")
     t = columns.pop("time")
     back = np.flatnonzero(np.diff(t) <= 0)
     if back.size:
         raise InputError(path, "time", f"does not rise in row {back[0] + 2}")
-    return RigRecord(path.stem, t, columns, tuple(warnings))
+    return RigRecord(name, t, columns, warnings)
 
 
 def write_rig(record: RigRecord, path: Path, comment: str = "") -> None:
@@ -107,7 +139,8 @@ def write_rig(record: RigRecord, path: Path, comment: str = "") -> None:
     digits = ["%.15g", *["%.6g"] * len(record.columns)]
     with replacing(path) as temporary:
         np.savetxt(temporary, np.stack(list(table.values()), axis=1), digits, ",", header=head, comments="")
-        _checked(path, *_of_table(temporary))  # or it would be refused when it is read
+        columns, _ = _of_table(temporary)
+        checked_rig(path, path.stem, columns, ())  # or it would be refused when it is read
 
 
 def _of_table(path: Path) -> tuple[dict[str, Floats], list[str]]:
@@ -115,13 +148,14 @@ def _of_table(path: Path) -> tuple[dict[str, Floats], list[str]]:
     columns: dict[str, Floats] = {}
     unused = []
     for index, title in enumerate(table.names):
-        text = title.casefold().replace("²", "2").replace("^", "").replace("/", "_")
+        text = title.casefold()
         name = next((q for q in QUANTITIES if text.startswith(q)), None)
-        if name is None:
+        units = QUANTITIES[name][0] if name else {}
+        unit = rig_unit(text.removeprefix(name)) if name else ""
+        # many a column begins with the word time: time_offset, "Time - road"
+        if name is None or (name == "time" and unit and unit not in units):
             unused.append(title)
             continue
-        units = QUANTITIES[name][0]
-        unit = re.sub(r"[\s\[\]()]|^_+", "", text.removeprefix(name).lstrip(" _"))
         if unit not in units:
             raise InputError(path, title[:60], f"needs a unit: {' or '.join(f'{name}_{u}' for u in units)}")
         if name in columns:

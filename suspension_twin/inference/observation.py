@@ -134,6 +134,7 @@ class Usage:
     ``channels`` are compared, ``driven`` those by which the vehicle is judged, because the excitation brings them
     about; ``priors`` of the nuisance parameters; ``block`` (m,) numbers the blocks that are held out together, which
     all observations share where ``shared``; ``fused`` where the pose was fused with the sensor that is compared.
+    ``unit`` rms in which a fit counts the residual of a channel, its noise where there is none.
     """
 
     channels: tuple[str, ...]
@@ -143,6 +144,7 @@ class Usage:
     shared: bool = True
     fused: bool = False
     gravity: float = STANDARD_GRAVITY
+    unit: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

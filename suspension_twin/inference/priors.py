@@ -155,6 +155,6 @@ PRIORS: Final[Mapping[str, TwinPrior]] = {
 }
 
 
-def prior_of(key: str) -> TwinPrior | None:
-    """The prior of a key; None where there is none."""
-    return PRIORS.get(key) or PRIORS.get(re.sub(r"\.\d+\.", ".*.", key))
+def prior_of(key: str, model: str = "") -> TwinPrior | None:
+    """The prior of a key in a twin of a model; None where there is none."""
+    return PRIORS.get(f"{model}:{key}") or PRIORS.get(key) or PRIORS.get(re.sub(r"\.\d+\.", ".*.", key))

@@ -21,29 +21,54 @@ from suspension_twin.drive.rig import RigRecord, read_rig, write_rig
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.files import together
 from suspension_twin.inference.gap import Comparison, Gap, write_gap
+from suspension_twin.inference.linear_corner import CORNER_CHANNELS, linear_corner
 from suspension_twin.inference.marker_runs import CUTOFF, FLOORS, MARKERS, MarkerRun, low_pass, read_run
 from suspension_twin.inference.nuisance import OF_A_RIG, OF_A_RUN, NuisancePriors
 from suspension_twin.inference.observation import Grid, Observation, Usage, renamed
-from suspension_twin.models.excitation import MAX_STEP, excitation
+from suspension_twin.models.excitation import MAX_STEP, MOTION, excitation
 from suspension_twin.models.parameters import pack
 from suspension_twin.models.registry import model_of
 from suspension_twin.models.simulate import simulate_lanes, simulate_twin
 from suspension_twin.models.tracked import ObstacleRun
 from suspension_twin.models.types import Excitation, LaneResponse
 from suspension_twin.pose.types import Trajectory
+from suspension_twin.signals.clock import find_gaps, nominal_rate
 from suspension_twin.signals.common_rate import PER_PERIOD
 from suspension_twin.signals.conditioner import Conditioner
 from suspension_twin.signals.filters import FilterSpec
-from suspension_twin.signals.noise_floor import floor_rms
+from suspension_twin.signals.noise_floor import spectral_floor
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["SimulatedRun", "marker_observation", "observe_rig", "observe_runs", "rig_run", "simulate_rig"]
+__all__ = [
+    "SimulatedRun",
+    "is_actuated",
+    "marker_observation",
+    "observe_rig",
+    "observe_runs",
+    "repeats",
+    "rig_run",
+    "simulate_rig",
+]
 
 #: Share of an input's rms by which transducers let two runs of one program differ: 0.1 mm of 10 mm.
 _SAME_INPUT = 0.01
+#: The same for an actuator that repeats a program as well as it can: 3 to 10 % on rigs, 140 % between two programs.
+_SAME_PROGRAM = 0.3
 #: s: two periods of a body on its springs (1 Hz), beyond which residuals are independent, and as much of a rig run is
 #: held out together.
 TWO_PERIODS = 2.0
+#: Stamps of a simulation for each of the comparison's grid, and how many times more a logger has to give before it is
+#: worth the resampling.
+_DENSE, _WORTHWHILE = 2.0, 1.26
+#: Share of the weight of the main channel in a fit that all other channels have together: it is what a twin is judged
+#: by, they settle what it does not show.
+_BESIDE = 0.25
+#: Standard deviations of the gain of an actuator's force from which on its sign is certain.
+_SURE = 3.0
+_REVERSED: Final = (
+    "actuator_force acts the other way round: a linear model of the runs has the body pushed down by it. Turn its "
+    "sign: a force that pushes the body up is positive"
+)
 _OBSTACLE_BLOCK = 0.5  # m of an obstacle run that is held out together
 #: m between the places of two programs.
 _APART = 1e4
@@ -137,18 +162,36 @@ def observe_rig(
         filtered = path.apply(x)[rows]
         return np.asarray(filtered - filtered.mean(axis=0))
 
-    raw = {name: columns[name] for name in channels if name in columns}
-    still = np.zeros(t.size, dtype=np.bool_)
+    derived = ((name, record.channel(name)) for name in channels)
+    raw = {name: values for name, values in derived if values is not None}
     found = _run(
         record.name,
         run,
         {name: apply(values) for name, values in raw.items()},
-        {name: floor_rms(values, path, still) for name, values in raw.items()},
+        {name: spectral_floor(values, path) for name, values in raw.items()},
         _grid(path.grid[rows], path.rate / every, spec.cutoff, apply, 1.0),
         priors=OF_A_RIG,
         block=TWO_PERIODS,
     )
     return replace(found, warnings=record.warnings)
+
+
+def _on_coarse_stamps(record: RigRecord, channels: Sequence[str]) -> RigRecord:
+    """The run with the channels that it holds on stamps dense enough for the comparison: fast loggers are low-passed,
+    inputs and responses alike, and sampled more slowly. One with a pause stays as it is."""
+    rate, target = nominal_rate(record.t), _DENSE * PER_PERIOD * FilterSpec().cutoff
+    derived = {name: values for name in channels if (values := record.channel(name)) is not None}
+    columns = {**record.columns, **derived}
+    if rate <= _WORTHWHILE * target or len(find_gaps(record.t, rate)):
+        return replace(record, columns=columns)
+    path = Conditioner.for_stamps(record.t, FilterSpec(4, 0.4 * target))
+    t = np.arange(record.t[0], record.t[-1], 1.0 / target)
+    slower = {}
+    for name, values in columns.items():
+        # the filter starts from zero
+        smooth = path.apply(values - values[0]) + values[0]
+        slower[name] = np.asarray(CubicSpline(path.grid, smooth)(t))
+    return replace(record, t=t, columns=slower)
 
 
 def _grid(t: Floats, rate: float, cutoff: float, apply: Callable[[ArrayLike], Floats], speed: float) -> Grid:
@@ -264,35 +307,74 @@ def _markers(twin: Twin, paths: Sequence[str]) -> list[Observation]:
 
 
 def _rig(twin: Twin, paths: Sequence[str]) -> list[Observation]:
-    """Runs of one program share an excitation; all inputs and transducers have one clock."""
+    """Runs of one program have one place, and share an excitation where transducers alone let it differ; all inputs and
+    transducers have one clock."""
     found: list[Observation] = []
     programs: list[Excitation] = []
+    known: list[Excitation] = []
+    channels = model_of(twin).channels
     for path in paths:
-        one = observe_rig(read_rig(path), model_of(twin).channels)
+        one = observe_rig(_on_coarse_stamps(read_rig(path), channels), channels)
         driven = one.excitation
         assert isinstance(driven, Excitation)
-        program = next((k for k, known in enumerate(programs) if _one_program(known, driven)), len(programs))
+        program = next(
+            (k for k, one in enumerate(programs) if _apart(one, driven) <= _SAME_PROGRAM), len(programs)
+        )
         if program == len(programs):
             programs.append(driven)
+        driven = next((one for one in known if _apart(one, driven) <= _SAME_INPUT), driven)
+        known.append(driven)
         place = one.t + program * _APART
         block = np.floor(place / TWO_PERIODS).astype(np.intp)
         found.append(
             replace(
                 one,
-                excitation=programs[program],
+                excitation=driven,
                 grid=replace(one.grid, position=place),
                 usage=replace(one.usage, block=block),
             )
         )
+    return beside_linear(found)
+
+
+def beside_linear(runs: Sequence[Observation]) -> list[Observation]:
+    """Runs of a corner with the residual of a linear model of all of them: it caps the noise, and a fit counts each
+    channel in units of it."""
+    channels = [c for c in CORNER_CHANNELS if all(c in run.measured for run in runs)]
+    corner, sign = linear_corner(runs, channels)
+    beside = np.sqrt(max(len(channels) - 1, 1) / _BESIDE)
+    found = []
+    for run in runs:
+        simulated = corner.signals(run)
+        left = {c: float(np.std(run.measured[c] - simulated[c])) for c in channels}
+        floors = {c: min(floor, left.get(c, floor)) for c, floor in run.noise_rms.items()}
+        unit = {c: rms if c == channels[0] else beside * rms for c, rms in left.items()}
+        usage = replace(run.usage, unit=unit)
+        warnings = (*run.warnings, *([_REVERSED] if sign < -_SURE else []))
+        found.append(replace(run, noise_rms=floors, usage=usage, warnings=warnings))
     return found
 
 
-def _one_program(one: Excitation, other: Excitation) -> bool:
-    """Whether two runs had the same inputs but for the noise of their transducers."""
+def repeats(one: Observation, other: Observation) -> bool:
+    """Whether two runs are of one program."""
+    if isinstance(one.excitation, ObstacleRun) or isinstance(other.excitation, ObstacleRun):
+        return one.excitation is other.excitation
+    return bool(one.position[0] // _APART == other.position[0] // _APART)
+
+
+def _apart(one: Excitation, other: Excitation) -> float:
+    """Rms by which the inputs of two runs differ as a share of their own; infinite where their stamps do."""
     if one.motion.shape != other.motion.shape or one.road.shape != other.road.shape:
-        return False
-    inputs = ([run.road[:, 0], *run.motion.T[7:]] for run in (one, other))
-    return all(float(np.std(a - b)) <= _SAME_INPUT * float(np.std(a)) for a, b in zip(*inputs, strict=True))
+        return float("inf")
+    if np.abs(one.t - other.t).max() > 0.5 * float(np.median(np.diff(one.t))):
+        return float("inf")
+    inputs = ([run.road[:, 0], *run.motion.T[len(MOTION) :]] for run in (one, other))
+    return max(float(np.std(a - b)) / max(float(np.std(a)), 1e-12) for a, b in zip(*inputs, strict=True))
+
+
+def is_actuated(run: Observation) -> bool:
+    """Whether a run has a known force between the masses."""
+    return isinstance(run.excitation, Excitation) and run.excitation.motion.shape[1] > len(MOTION)
 
 
 #: How runs of each kind of recording are read: a model says which kind it has.

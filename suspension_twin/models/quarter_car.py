@@ -29,6 +29,7 @@ from suspension_twin.models.car import PARTS, Problems, points
 from suspension_twin.models.constants import Conditions, Constants, constants
 from suspension_twin.models.hooks import Values
 from suspension_twin.models.parameters import ParameterLayout, layout, pack
+from suspension_twin.models.parts import has_part
 from suspension_twin.models.registry import Model
 from suspension_twin.models.sensor_chain import pass_chain
 from suspension_twin.models.simulate import LaneBlocks, Stretch, cores, full_response
@@ -41,7 +42,8 @@ __all__ = ["CHANNELS", "MODEL"]
 #: Body and wheel acceleration in m/s² upwards, without gravity; compression of the suspension in m from standing; force
 #: of the road on the tyre in N.
 CHANNELS = ("body_acceleration", "wheel_acceleration", "suspension_deflection", "tyre_force")
-_SCALARS = ("vehicle.sprung_mass", "vehicle.unsprung_mass", "vehicle.tyre.vertical_stiffness")
+_DAMPING = "vehicle.tyre.damping"
+_SCALARS = ("vehicle.sprung_mass", "vehicle.unsprung_mass", "vehicle.tyre.vertical_stiffness", "imu.latency")
 #: The car with four such corners that is no number of the twin: a square, 2 m by 2 m, with everything at 1 m.
 _SQUARE = {
     "vehicle.wheelbase": 2.0,
@@ -54,7 +56,6 @@ _SQUARE = {
     "imu.position.0": 1.0,
     "imu.position.1": 0.0,
     "imu.position.2": 1.0,
-    "imu.latency": 0.0,
 }
 VehicleChange = Callable[[dict[str, Floats], Values], None]
 #: Stamps whose states are kept at once.
@@ -65,7 +66,7 @@ def _numbers(twin: Twin) -> Sequence[str]:
     names = list(_SCALARS)
     for part, abscissa in PARTS:
         names += points(getattr(twin.vehicle, part), f"vehicle.{part}", abscissa)
-    return names
+    return [*names, _DAMPING] if has_part(twin, _DAMPING) else names
 
 
 def _car(numbers: dict[str, Floats]) -> dict[str, Floats]:
@@ -108,7 +109,7 @@ def _constants(twin: Twin, params: Floats, run: Excitation) -> Constants:
         hooks[effect] = replace(
             hook, neutral=neutral, vehicle=hook.vehicle and _on_car(hook.vehicle, tuple(given))
         )
-    car = ParameterLayout(tuple(numbers), "full_car", hooks, shape.mounting)
+    car = ParameterLayout(tuple(numbers), "full_car", hooks, shape.mounting, shape.parts)
     known = constants(np.stack(list(numbers.values())), car, Conditions.of(run))
     problems = [
         (mask, key.replace(".front", "").replace(".rear", ""), text)
@@ -158,6 +159,6 @@ MODEL = Model(
     channels=CHANNELS,
     numbers=_numbers,
     lanes=_lanes,
-    also=("vehicle.unsprung_mass", "vehicle.tyre.vertical_stiffness"),
+    also=("vehicle.unsprung_mass", "vehicle.tyre.vertical_stiffness", _DAMPING, "imu.latency"),
     respond=_respond,
 )

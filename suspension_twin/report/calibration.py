@@ -109,7 +109,10 @@ def _cards(page: Page, result: CalibrationResult) -> None:
 
 
 def _summary(result: CalibrationResult) -> str:
-    lines = [
+    lines = [f"**{result.message.partition(';')[0]}.**"] if result.yardstick and result.yardstick.lost else []
+    if result.yardstick is not None and not result.yardstick.lost:
+        lines.append(f"{result.yardstick}.")
+    lines += [
         f"The searched objective, `{result.objective}`, went from {short(result.initial_cost)} to "
         f"{short(result.cost)}; costs of different objectives do not compare. Measured and simulated signals on this "
         "page went through the same zero-phase low-pass."

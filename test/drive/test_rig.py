@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from suspension_twin.cli.main import main
+from suspension_twin.drive.importing import import_rig
 from suspension_twin.drive.rig import RigRecord, read_rig, write_rig
 from suspension_twin.drive.write import BagWriter
 from suspension_twin.errors import InputError, WorkError
@@ -136,3 +138,81 @@ def test_columns_that_mean_nothing_are_named(tmp_path: Path) -> None:
     header = "time_s,road_displacement_m,body_acceleration_m_s2,oil_temperature"
     run = read_rig(table(tmp_path / "run.csv", header, T, ROAD, BODY, 0 * T))
     assert run.warnings == ("columns not used: oil_temperature",)
+
+
+def test_other_columns_that_begin_with_time_are_not_the_time(tmp_path: Path) -> None:
+    header = "time_s,time_offset,Time - Base Plate (m),road_displacement_m,body_displacement_mm"
+    rows = np.column_stack([T, T + 5.0, ROAD, ROAD, 1e3 * BODY])
+    path = tmp_path / "run.csv"
+    np.savetxt(path, rows, delimiter=",", header=header, comments="")
+    record = read_rig(path)
+    np.testing.assert_allclose(record.t, T)
+    assert record.warnings == ("columns not used: time_offset, Time - Base Plate (m)",)
+    np.testing.assert_allclose(record.columns["body_displacement"], BODY)
+    path.write_text(path.read_text().replace("time_s", "seconds"))
+    with pytest.raises(InputError, match=r"time: is missing, .* a mapping file names"):
+        read_rig(path)
+
+
+def test_channels_follow_from_displacements() -> None:
+    t = np.arange(0.0, 2.0, 0.004)
+    body, wheel = np.sin(9.0 * t), 0.5 * np.sin(31.0 * t)
+    record = RigRecord("run", t, {"body_displacement": body, "wheel_displacement": wheel})
+    inner = slice(20, -20)
+    for name, exact in (
+        ("body_acceleration", -81.0 * body),
+        ("wheel_acceleration", -(31.0**2) * wheel),
+        ("suspension_deflection", wheel - body),
+    ):
+        found = record.channel(name)
+        assert found is not None
+        np.testing.assert_allclose(found[inner], exact[inner], atol=1e-3 * np.abs(exact).max())
+    assert record.channel("tyre_force") is None
+
+
+def mapped(folder: Path, columns: str) -> Path:
+    """Two files of a logger, input and output apart at stamps of their own, and a mapping of them."""
+    np.savetxt(
+        folder / "a_output.csv",
+        np.c_[T, ROAD, 1e3 * BODY],
+        delimiter=",",
+        header="Time,Plate,Body",
+        comments="",
+    )
+    late = T[::2] + 0.001
+    np.savetxt(folder / "a_input.csv", np.c_[late, late], delimiter=",", header="Time - Fc,Fc", comments="")
+    path = folder / "map.yaml"
+    path.write_text(f"name: a\nrig:\n  file: '*output*.csv'\n  time: {{column: Time}}\n  columns:\n{columns}")
+    return path
+
+
+COLUMNS = """
+    road_displacement: {column: Plate, unit: m}
+    body_displacement: {column: 2, unit: mm, sign: -1}
+    actuator_force: {file: "*input*.csv", column: Fc, unit: kN, sign: -1, time: {column: 0}}
+"""
+
+
+def test_a_mapping_joins_files_with_their_units_and_signs(tmp_path: Path) -> None:
+    mapping, out = mapped(tmp_path, COLUMNS), tmp_path / "run.csv"
+    files = [str(tmp_path / f"a_{kind}.csv") for kind in ("output", "input")]
+    assert main(["import", *files, "--mapping", str(mapping), "--out", str(out)]) == 0
+    record = read_rig(out)
+    t = record.t + T[T >= 0.001][0]  # from the first stamp of both files on
+    np.testing.assert_allclose(record.columns["body_displacement"], -np.interp(t, T, BODY), atol=1e-5)
+    np.testing.assert_allclose(record.columns["actuator_force"], -1e3 * t, rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("unit: kN", "unit: lbf", r"actuator_force: unit must be one of n, kn, is 'lbf'"),
+        ("road_displacement", "road_height", "road_height is none of road_displacement"),
+        (", time: {column: 0}", "", r"actuator_force.*rows for .* stamps"),
+        ("column: Plate", "column: Nothing", "Nothing"),
+    ],
+)
+def test_a_wrong_mapping_of_a_rig_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
+    mapping = mapped(tmp_path, COLUMNS.replace(old, new))
+    with pytest.raises(InputError, match=message):
+        import_rig([tmp_path / "a_output.csv", tmp_path / "a_input.csv"], mapping)

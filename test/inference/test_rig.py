@@ -15,11 +15,15 @@ from scipy.signal import butter, sosfiltfilt
 from suspension_twin.calibration.request import CalibrationRequest
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.cli.main import main
+from suspension_twin.diagnosis.case import baseline, build, read_case
+from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.drive.rig import RigRecord, read_rig, write_rig
 from suspension_twin.errors import InputError, WorkError
-from suspension_twin.inference.runs import observe_rig, simulate_rig
+from suspension_twin.inference.runs import observe_rig, observe_runs, repeats, rig_run, simulate_rig
+from suspension_twin.models.parameters import pack
 from suspension_twin.models.registry import model_of
-from suspension_twin.vehicle.twin import Twin, load_twin
+from suspension_twin.models.simulate import simulate_lanes, simulate_twin
+from suspension_twin.vehicle.twin import Twin, load_twin, save_twin
 
 
 @pytest.fixture(scope="module")
@@ -121,3 +125,149 @@ def test_a_road_in_too_large_a_unit_teaches_nothing(
     result = calibrate(CalibrationRequest(twin, (str(file),)))
     assert {e.status for e in result.estimates} == {"kept"}
     assert [e.value for e in result.estimates] == [e.start for e in result.estimates]
+
+
+def displaced(twin: Twin, rate: float, seed: int = 0, seconds: float = 10.0) -> RigRecord:
+    """A run on a random road of the twin itself, recorded as displacements of body and wheel with its accelerometers
+    beside them."""
+    rng, t = np.random.default_rng(seed), np.arange(0.0, seconds, 1.0 / rate)
+    white = sosfiltfilt(butter(2, 4.0, fs=1000.0, output="sos"), rng.standard_normal(int(seconds * 1000) + 1))
+    road = 0.05 * np.interp(t, np.arange(white.size) / 1000.0, white) * np.clip(t, 0.0, 1.0)
+    response = simulate_twin(twin, rig_run(t, road))
+    wheel = response.wheel_z[:, 0]
+    body = wheel - response.deflection[:, 0]
+    lanes = simulate_lanes(twin, pack(twin)[:, None], rig_run(t, road))
+    columns = {n: lanes.channel(n)[:, 0] for n in ("body_acceleration", "wheel_acceleration")}
+    heights = {"body_displacement": body, "wheel_displacement": wheel}
+    return RigRecord("run", t, {"road_displacement": road, **columns, **heights})
+
+
+@pytest.mark.parametrize("rate", [200.0, 500.0])
+def test_displacements_are_compared_as_the_accelerations_that_they_hold(corner: Twin, rate: float) -> None:
+    """Nobody has to differentiate: the second derivative of a displacement is what an accelerometer reads."""
+    record = displaced(corner, rate)
+    heights = {k: v for k, v in record.columns.items() if not k.endswith("acceleration")}
+    channels = model_of(corner).channels
+    read, derived = (observe_rig(replace(record, columns=c), channels) for c in (record.columns, heights))
+    for name in ("body_acceleration", "wheel_acceleration"):
+        assert np.std(read.measured[name] - derived.measured[name]) < 0.02 * np.std(read.measured[name])
+    assert "suspension_deflection" in derived.measured
+
+
+def test_the_floor_of_displacements_is_not_that_of_white_noise(corner: Twin, drops: RigRecord) -> None:
+    """Encoders of 2 µm: twice differentiated, their noise lies at high frequencies, where the low-pass removes it."""
+    rng, record = np.random.default_rng(1), displaced(corner, 500.0)
+    noisy = {
+        k: v + (2e-6 * rng.standard_normal(v.size) if k.endswith("_displacement") else 0.0)
+        for k, v in record.columns.items()
+        if not k.endswith("acceleration")
+    }
+    found = observe_rig(replace(record, columns=noisy), ["body_acceleration"])
+    still = {k: noisy[k] - record.columns[k] for k in noisy}
+    left = observe_rig(replace(record, columns=still), ["body_acceleration"]).measured["body_acceleration"]
+    assert np.std(left) / 2 < found.noise_rms["body_acceleration"] < 4 * np.std(left)
+
+
+def written(record: RigRecord, path: Path) -> str:
+    write_rig(record, path)
+    return str(path)
+
+
+def test_repeats_are_of_one_program_although_an_actuator_repeats_to_some_per_cent(
+    corner: Twin, drops: RigRecord, tmp_path: Path
+) -> None:
+    """Each with its own road; a run of equal rows with other stamps is another program."""
+    road = drops.columns["road_displacement"]
+    off = sosfiltfilt(
+        butter(2, 5.0, fs=250.0, output="sos"), np.random.default_rng(2).standard_normal(road.size)
+    )
+    again = replace(
+        drops, columns={**drops.columns, "road_displacement": road + 0.07 * np.std(road) * off / np.std(off)}
+    )
+    slower = replace(drops, t=1.01 * drops.t)
+    paths = [written(r, tmp_path / f"{i}.csv") for i, r in enumerate((drops, drops, again, slower))]
+    first, same, repeat, other = observe_runs(corner, paths)
+    assert same.excitation is first.excitation and repeat.excitation is not first.excitation
+    assert repeats(first, repeat) and not repeats(first, other)
+    for run in (first, repeat, other):
+        assert run.measured["body_acceleration"].size == run.t.size
+
+
+def test_a_fast_logger_is_simulated_on_fewer_stamps(corner: Twin, tmp_path: Path) -> None:
+    """2 kHz become 200 Hz, and the same is compared."""
+    record = displaced(corner, 2000.0, seconds=6.0)
+    (found,) = observe_runs(corner, [written(record, tmp_path / "fast.csv")])
+    assert found.road_excitation.t.size < 1300
+    plain = observe_rig(record, ["body_acceleration"])
+    there = np.interp(found.t, plain.t, plain.measured["body_acceleration"])
+    assert np.std(there - found.measured["body_acceleration"]) < 0.01 * np.std(there)
+
+
+def test_a_force_of_the_other_sign_is_reported(corner: Twin, tmp_path: Path) -> None:
+    t = np.arange(0.0, 10.0, 0.005)
+    rng = np.random.default_rng(3)
+    sos = butter(2, 5.0, fs=200.0, output="sos")
+    road, force = (size * sosfiltfilt(sos, rng.standard_normal(t.size)) for size in (0.05, 900.0))
+    response = simulate_lanes(corner, pack(corner)[:, None], rig_run(t, road, force=force))
+    body = response.channel("body_acceleration")[:, 0]
+    for sign, count in ((1.0, 0), (-1.0, 1)):
+        columns = {"road_displacement": road, "actuator_force": sign * force, "body_acceleration": body}
+        (run,) = observe_runs(corner, [written(RigRecord("run", t, columns), tmp_path / f"{count}.csv")])
+        assert sum("actuator_force acts the other way round" in w for w in run.warnings) == count
+
+
+def test_a_reference_is_no_witness_of_itself(corner: Twin, drops: RigRecord, tmp_path: Path) -> None:
+    """What is expected of a run comes from other references of its program: nothing of the only one."""
+    short = replace(drops, t=drops.t[:900], columns={k: v[:900] for k, v in drops.columns.items()})
+    paths = [written(short, tmp_path / f"{i}.csv") for i in range(3)]
+    twin = tmp_path / "twin.yaml"
+    save_twin(corner, twin)
+    for before, expected in ((paths[1:2], [True, False]), (paths[1:], [True, True, True])):
+        request = DiagnosisRequest(str(twin), (paths[0],), tuple(before))
+        case = read_case(request, lambda note: None, lambda: False)
+        problem, _, _ = baseline(case, build(case, lambda: False))
+        assert [e is not None for e in problem.likelihood.expected] == expected
+
+
+def test_a_bench_of_two_plates_is_calibrated_by_default(corner: Twin, tmp_path: Path) -> None:
+    """Kilograms on springs of newtons a millimetre, responses 12 ms late, a force between the plates: the latency is
+    found, written and said, so are the mass above and the damping below, and no linear model is better."""
+    bench = corner.with_changes(
+        {
+            "vehicle.sprung_mass": 2.0,
+            "vehicle.unsprung_mass": 1.0,
+            "vehicle.tyre.vertical_stiffness": 2500.0,
+            "vehicle.tyre.damping": 15.0,
+            "vehicle.spring": {"compression": (0.1,), "force": (120.0,)},
+            "vehicle.damper_push": {"velocity": (0.1, 0.4), "force": (1.5, 4.0)},
+            "vehicle.damper_pull": {"velocity": (0.1, 0.4), "force": (2.5, 8.0)},
+            "imu.latency": 0.012,
+        }
+    )
+    t, paths = np.arange(0.0, 5.0, 0.005), []
+    sos = butter(2, 6.0, fs=200.0, output="sos")
+    for seed in (0, 1):
+        rng = np.random.default_rng(seed)
+        road, force = (size * sosfiltfilt(sos, rng.standard_normal(t.size)) for size in (0.01, 6.0))
+        response = simulate_lanes(bench, pack(bench)[:, None], rig_run(t, road, force=force))
+        columns = {name: response.channel(name)[:, 0] for name in response.names[:3]}
+        noisy = {name: v + 0.02 * np.std(v) * rng.standard_normal(t.size) for name, v in columns.items()}
+        record = RigRecord("run", t, {"road_displacement": road, "actuator_force": force, **noisy})
+        paths.append(written(record, tmp_path / f"{seed}.csv"))
+    start = bench.with_changes(
+        {
+            "vehicle.sprung_mass": 2.4,
+            "vehicle.tyre.damping": 0.0,
+            "imu.latency": 0.0,
+            "vehicle.unsprung_mass": 0.9,
+        }
+    )
+    save_twin(start, tmp_path / "start.yaml")
+    result = calibrate(CalibrationRequest(str(tmp_path / "start.yaml"), tuple(paths)))
+    assert result.twin.imu.latency == pytest.approx(0.012, abs=1e-3)
+    assert result.twin.vehicle.sprung_mass == pytest.approx(2.0, rel=0.05)
+    assert result.twin.vehicle.tyre.damping == pytest.approx(15.0, rel=0.3)
+    assert any("ms after road and force" in w for w in result.warnings)
+    measure = result.yardstick
+    assert measure is not None and measure.held_out == "runs" and measure.twin > 0.99
+    assert not measure.lost and np.isfinite(measure.linear) and "linear model" in str(result)
