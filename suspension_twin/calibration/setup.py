@@ -25,7 +25,7 @@ from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
 from suspension_twin.inference.excited_segments import TrimSettings, fit_rows, trim
 from suspension_twin.inference.gap import CHANNELS
-from suspension_twin.inference.nuisance import OF_A_CALIBRATION, NuisancePriors, slow_position_error
+from suspension_twin.inference.nuisance import OF_A_CALIBRATION, NuisancePriors
 from suspension_twin.inference.objectives import Objective, Term, parse_objective
 from suspension_twin.inference.observation import (
     Observation,
@@ -34,6 +34,7 @@ from suspension_twin.inference.observation import (
     renamed,
     road_of,
 )
+from suspension_twin.inference.placement import Placement, is_open, on_one_clock, place
 from suspension_twin.inference.priors import SINGLE
 from suspension_twin.inference.problem import Data, Interrupted, Likelihood, Problem, Simulation
 from suspension_twin.inference.runs import observe_runs
@@ -58,8 +59,8 @@ _SURE = 0.02  # how much better the correlation has to become before a drive is 
 class Setup:
     """A ``problem`` ready to search, and the ``objective`` that its candidates are compared by.
 
-    ``original`` is the twin as given, ``drives`` are whole observations, ``problem.data.parts`` their simulated parts,
-    ``lags`` s by which each drive's pose was moved before the search.
+    ``original`` is the twin as given, ``drives`` are whole observations, where they were placed, ``problem.data.parts``
+    their simulated parts, ``lags`` s by which each drive's pose was moved before the search.
     """
 
     original: Twin
@@ -69,6 +70,7 @@ class Setup:
     drives: tuple[Observation, ...]
     lags: tuple[float, ...]
     warnings: tuple[str, ...]
+    placements: tuple[Placement | None, ...] = ()
 
     @property
     def twin(self) -> Twin:
@@ -119,7 +121,12 @@ def set_up(
         recordings.append(read_drive(bag, topics=request.topics))
         check_recording(recordings[-1])
     recorded = on_common_rate(recordings, FilterSpec())
-    drives = renamed([observe_checked(d, twin, road) for d in recorded])
+    drives = renamed([on_one_clock(observe_checked(d, twin, road)) for d in recorded])
+    placements = []
+    for number, drive in enumerate(drives):
+        note(f"placing {drive.name} on its road")
+        placements.append(place(drive, twin))
+        drives[number] = drive if placements[-1] is None else placements[-1].moved(drive)
     data, lags, warnings = aligned_parts(twin, drives)
     terms = objective_terms(request, preset, drives)
     rates = {round(d.rate, 3) for d in drives}
@@ -128,7 +135,7 @@ def set_up(
             "drives", f"come at different rates ({sorted(rates)} Hz): calibrate on them one by one"
         )
     problem, objective = problem_of(twin, space, data, terms, priors, should_stop)
-    return Setup(original, preset, problem, objective, tuple(drives), lags, warnings)
+    return Setup(original, preset, problem, objective, tuple(drives), lags, warnings, tuple(placements))
 
 
 def observe_checked(
@@ -156,6 +163,8 @@ def problem_of(
     objective = Objective(terms, data.measured)
     drives = dict(zip(data.drive_of, data.parts, strict=True))
     wander = [_wander(drives[d], priors) for d in sorted(drives)]
+    if all(wander):  # clock and map are parts of the receiver's error then
+        priors = replace(priors, clock=0.0, map_position=0.0)
     likelihood = Likelihood(data, data.nuisances(priors, wander), objective)
     simulation = Simulation() if stop is None else Simulation(stop=stop)
     return Problem.of(twin, space, likelihood, simulation), objective
@@ -255,4 +264,4 @@ def _wander(drive: Observation, priors: NuisancePriors) -> float:
     """Standard deviation in m of the slow error of a drive's smoothed positions, 0 where it is not worth a nuisance."""
     if priors.wander is not None:
         return priors.wander
-    return slow_position_error(drive) if drive.position_sigma >= 0.1 else 0.0
+    return drive.position_sigma if is_open(drive) else 0.0

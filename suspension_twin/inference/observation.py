@@ -427,6 +427,17 @@ class Observation:
         moved = Trajectory(path.t, x, y, yaw, velocity, turn, acceleration, path.valid)
         return _observed(replace(source, trajectory=moved), self)
 
+    def displaced(self, t: Floats, ahead: Floats, left: Floats | None = None) -> Observation:
+        """The same drive with its path ``ahead`` along the vehicle's course and to the ``left`` by these (k,) m at the
+        times ``t`` (k,) s: linear between them, constant beyond."""
+        left = np.zeros_like(ahead) if left is None else left
+        source = self.source
+        path = source.trajectory
+        along, across = (np.interp(path.t, t, metres) for metres in (ahead, left))
+        cos, sin = np.cos(path.yaw), np.sin(path.yaw)
+        x, y = path.x + along * cos - across * sin, path.y + along * sin + across * cos
+        return _observed(replace(source, trajectory=replace(path, x=x, y=y)), self)
+
 
 def observe(
     drive: Drive,
