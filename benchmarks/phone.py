@@ -41,7 +41,9 @@ def phone_grade(drive: Drive, datum: Datum, seed: int, errors: PhoneErrors | Non
     jitter = e.jitter * np.clip(rng.standard_normal(len(imu)), -3.0, 3.0)
     stamps = np.maximum.accumulate(imu.t + jitter)
     imu = replace(imu, t=stamps)
-    step = max(1, round(1.0 / e.fixes / float(np.median(np.diff(drive.fix.t))))) if e.fixes else len(drive.fix)
+    step = (
+        max(1, round(1.0 / e.fixes / float(np.median(np.diff(drive.fix.t))))) if e.fixes else len(drive.fix)
+    )
     rows = np.arange(rng.integers(step), len(drive.fix), step)
     fix = drive.fix.select(rows)
     offset = e.accuracy * correlated(fix.t, e.memory, rng)

@@ -71,7 +71,9 @@ def _displaced(drive: Observation, outcome: SearchOutcome) -> Observation:
     nuisances, data = outcome.problem.nuisances, outcome.problem.data
     own = [k for k, part in enumerate(data.parts) if part.name == drive.name]
     knots = [nuisances.wander_of(number, outcome.nuisance) for number in own]
-    t, ahead = (np.concatenate(columns) for columns in zip(*knots, strict=True)) if knots else (np.empty(0),) * 2
+    t, ahead = (
+        (np.concatenate(columns) for columns in zip(*knots, strict=True)) if knots else (np.empty(0),) * 2
+    )
     return drive.displaced(t, ahead) if t.size else drive
 
 

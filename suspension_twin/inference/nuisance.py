@@ -204,7 +204,7 @@ class Nuisances:
         self.covariance = np.diag(self.spread**2)
         for drive, motion in motions.items():
             own = [i for i, n in enumerate(self.names) if n.startswith(f"{drives[drive]}.wander.")]
-            self.covariance[np.ix_(own, own)] = course_covariance(*np.hstack(motion), wander[drive])
+            self.covariance[np.ix_(own, own)] = course_covariance(np.hstack(motion), wander[drive])
         #: (q,) True where a value cannot be negative
         self.one_sided = np.array([p.lower == 0.0 for p in parameters], dtype=np.bool_)
         self._row = {name: i for i, name in enumerate(self.names)}
@@ -360,12 +360,12 @@ def slow_position_error(drive: Observation) -> float:
     return 0.5 * float(drive.position_sigma)
 
 
-def course_covariance(t: Floats, course: Floats, speed: Floats, sigma: float) -> Floats:
+def course_covariance(motion: Floats, sigma: float) -> Floats:
     """(k, k) prior covariance in m² of a receiver's error along the vehicle's course.
 
     Parameters
     ----------
-    t, course, speed : (k,) array
+    motion : (3, k) array
         Times in s, courses in rad and speeds in m/s.
     sigma : float
         The receiver's horizontal standard deviation in m; its error is correlated over ``position_memory`` s, and all
@@ -376,6 +376,7 @@ def course_covariance(t: Floats, course: Floats, speed: Floats, sigma: float) ->
     (k, k) array
         ``sigma² cos(c_i - c_j) exp(-|t_i - t_j| / T) + lateness² v_i v_j``.
     """
+    t, course, speed = motion
     apart, turn = np.subtract.outer(t, t), np.subtract.outer(course, course)
     slow = sigma**2 * np.cos(turn) * np.exp(-np.abs(apart) / SINGLE["position_memory"])
     return np.asarray(slow + SINGLE["receiver_lateness"] ** 2 * np.outer(speed, speed))

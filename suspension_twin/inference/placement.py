@@ -10,9 +10,9 @@ driven while the receiver is late by c,
 The drive is cut into passes, segments on which the road is felt. A bank of places is simulated for each of them: the
 given twin over the same motion, with the road looked up farther ahead and, where the road's wheel paths differ, farther
 to the left. The pattern of vertical acceleration, pitch and roll rate that both axles make a wheelbase apart gives each
-place its likelihood. Passes follow one another as the states of a hidden Markov chain: forward and backward over it gives
-the most probable places and their marginal probabilities. What is left, some centimetres at each knot of time, is found
-with the vehicle (``wander`` of :mod:`~suspension_twin.inference.nuisance`).
+place its likelihood. Passes follow one another as the states of a hidden Markov chain: forward and backward over it
+gives the most probable places and their marginal probabilities. What is left, some centimetres at each knot
+of time, is found with the vehicle (``wander`` of :mod:`~suspension_twin.inference.nuisance`).
 
 A receiver's error matters where three standard deviations of it move the wheels by more than half the shortest wave
 that the comparison passes, v / (2 f_c) at its cut-off f_c. Below that, nothing is placed.
@@ -20,6 +20,7 @@ that the comparison passes, v / (2 f_c) at its cut-off f_c. Below that, nothing 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,9 +33,9 @@ from suspension_twin.inference.excited_segments import TrimSettings, fit_rows, t
 from suspension_twin.inference.nuisance import course_covariance
 from suspension_twin.inference.observation import VERTICAL, Observation, first_fix, observe
 from suspension_twin.inference.priors import SINGLE
+from suspension_twin.models.excitation import coarser
 from suspension_twin.models.parameters import lanes
 from suspension_twin.models.simulate import simulate_lanes
-from suspension_twin.models.types import Excitation
 from suspension_twin.pose.imu_gnss_consistency import consistency
 from suspension_twin.vehicle.twin import Twin
 
@@ -44,11 +45,15 @@ __all__ = ["Placement", "is_open", "on_one_clock", "place"]
 _REACH = 3.0
 #: m that wheel paths differ by at least for the lateral place to matter: a tape measure's millimetre.
 _LEVEL_ACROSS = 1e-3
-#: m between places side by side: a tyre is 0.2 m wide.
-_ACROSS = 0.1
-#: Probability that the place of a pass must have within half the shortest wave, and the correlation of felt and
-#: expected pattern below which it is no pass of this road: a wrong road reaches 0.3 (``calibration.checks``).
-_SURE, _ALIKE = 0.95, 0.5
+#: m between places side by side: the width of a tyre.
+_ACROSS = 0.2
+#: s of a step while places are looked for.
+_STEP = 2e-3
+#: Correlation of felt and expected pattern below which it is no pass of this road: a wrong road reaches 0.3
+#: (``calibration.checks``).
+_ALIKE = 0.5
+#: Places that are simulated once more, the most probable ones, to see how far they differ.
+_PROBABLE = 64
 _ALONG, _LEFT = "position_offset", "lateral_offset"
 
 
@@ -75,13 +80,11 @@ class Placement:
 
     def words(self, start: float) -> str:
         """One line for people, times counted from ``start`` s."""
-        moves = ", ".join(
-            f"{ahead:+.1f} m at {t - start:.0f} s" for t, ahead in zip(self.t, self.ahead, strict=True)
-        )
         lost = ", ".join(f"{a - start:.0f} to {b - start:.0f} s" for a, b in self.spans)
-        return f"placed on the road by what was felt: {moves}" + (
-            f"; left out, for their place cannot be told: {lost}" if lost else ""
-        )
+        return (
+            f"{self.t.size} segments are placed on the road by what was felt, {self.ahead.min():+.1f} to "
+            f"{self.ahead.max():+.1f} m ahead of their positions"
+        ) + (f"; left out, for their place cannot be told: {lost}" if lost else "")
 
 
 def _shortest_wave(drive: Observation, speed: float) -> float:
@@ -101,15 +104,20 @@ def is_open(drive: Observation) -> bool:
 def on_the_lane(drive: Observation) -> Observation:
     """The drive with its path moved sideways where its wheels would run beside the road within the receiver's error."""
     source, path, road = drive.source, drive.trajectory, drive.road
-    half = float(np.abs(drive.twin.vehicle.wheel_positions[:, 1]).max()) + _ACROSS
-    middle, room = 0.5 * float(road.v[0] + road.v[-1]), 0.5 * float(road.v[-1] - road.v[0])
+    middle, room = 0.5 * float(road.v[0] + road.v[-1]), _room(drive)
     u, v = road.xy_to_uv(path.x, path.y)
-    inside = middle + np.clip(v - middle, -max(room - half, 0.0), max(room - half, 0.0))
+    inside = middle + np.clip(v - middle, -room, room)
     beside = np.abs(v - inside)
     off = (beside > 0.0) & (beside < _REACH * drive.position_sigma) & (u > road.u_first) & (u < road.u_last)
     x, y = road.uv_to_xy(u, inside)
     moved = replace(path, x=np.where(off, x, path.x), y=np.where(off, y, path.y))
     return replace(drive, reading=replace(source, trajectory=moved)).displaced(path.t[:1], np.zeros(1))
+
+
+def _room(drive: Observation) -> float:
+    """m to either side of the middle of a drive's road within which its wheels stay on the road."""
+    half = float(np.abs(drive.twin.vehicle.wheel_positions[:, 1]).max()) + 0.5 * _ACROSS
+    return max(0.5 * float(drive.road.v[-1] - drive.road.v[0]) - half, 0.0)
 
 
 def on_one_clock(drive: Observation) -> Observation:
@@ -122,7 +130,8 @@ def on_one_clock(drive: Observation) -> Observation:
     known = consistency(recorded, source.signals, twin.gps, twin.datum or first_fix(recorded))
     if known is None:
         return drive
-    fix, velocity = (replace(s, t=s.t + known.clock_offset) for s in (recorded.fix, recorded.velocity))
+    fix = replace(recorded.fix, t=recorded.fix.t + known.clock_offset)
+    velocity = replace(recorded.velocity, t=recorded.velocity.t + known.clock_offset)
     timed = observe(replace(recorded, fix=fix, velocity=velocity), twin, source.road, source.settings)
     late = f"positions and velocities are taken as {-known.clock_offset:.2f} s late, by braking and turning"
     return replace(timed, name=drive.name, warnings=(*timed.warnings, late))
@@ -178,7 +187,10 @@ class _Pass:
 
 def _passes(drive: Observation) -> list[_Pass]:
     """Segments of a drive on which the road is felt, none longer than the receiver's error is taken as constant."""
-    longest, settings = drive.usage.priors.wander_seconds, replace(TrimSettings(), bridge=TrimSettings().window)
+    longest, settings = (
+        drive.usage.priors.wander_seconds,
+        replace(TrimSettings(), bridge=TrimSettings().window),
+    )
     # where the road ends is not known yet
     everywhere = replace(drive, grid=replace(drive.grid, mask=np.ones_like(drive.mask)))
     found = []
@@ -197,20 +209,53 @@ def _passes(drive: Observation) -> list[_Pass]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Bank:
-    """Expected patterns of every pass at places ``ahead`` (s,) and ``left`` (v,) m of its positions.
+class _Expectation:
+    """The ``channels`` that a twin makes of a place on the road, in the ``unit`` (C,) of each."""
 
-    Of each pass (s, v): ``misfit``, the squared residual of the channels in units of what was felt on the whole drive,
-    summed over its samples; ``shaken``, the same of the part of the expected signals that the road causes;
-    ``correlation`` of felt and expected.
+    twin: Twin
+    channels: tuple[str, ...]
+    unit: Floats
+
+    @classmethod
+    def of(cls, twin: Twin, channels: tuple[str, ...], passes: Sequence[_Pass]) -> _Expectation:
+        """In units of what was felt on all passes; the twin with the place as a number that may differ."""
+        have = {e.id for e in twin.effects}
+        specs = [e.model_dump() for e in twin.effects] + [{"id": n} for n in (_ALONG, _LEFT) if n not in have]
+        felt = [np.mean(_felt(p, channels) ** 2, axis=0) for p in passes]
+        return cls(twin.with_changes({"effects": specs}), channels, np.sqrt(np.mean(felt, axis=0)))
+
+    def felt(self, one: _Pass) -> Floats:
+        """(rows, C, 1) measured on a pass."""
+        return np.asarray((_felt(one, self.channels) / self.unit)[:, :, None])
+
+    def at(self, one: _Pass, ahead: Floats, left: Floats) -> Floats:
+        """(rows, C, L) expected on a pass at the places ``ahead`` and ``left`` (L,) m."""
+        keys = tuple(f"effects.{name}.offset" for name in (_ALONG, _LEFT))
+        candidates = lanes(self.twin, keys, np.column_stack([ahead, left]))
+        response = simulate_lanes(self.twin, candidates, coarser(one.part.road_excitation, _STEP))
+        expected = one.part.grid.apply(response.stacked(self.channels))[one.rows]
+        return np.asarray(expected / self.unit[:, None])
+
+
+def _felt(one: _Pass, channels: Sequence[str]) -> Floats:
+    """(rows, C) measured channels of a pass."""
+    return np.stack([one.part.measured[c][one.rows] for c in channels], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Bank:
+    """Every pass at places ``ahead`` (s,) and ``left`` (v,) m of its positions.
+
+    Of each pass (s, v): ``misfit``, the squared residual summed over its samples, and ``correlation`` of felt and
+    ``expected``.
     """
 
     drive: Observation
     passes: list[_Pass]
+    expectation: _Expectation
     ahead: Floats
     left: Floats
     misfit: list[Floats]
-    shaken: list[Floats]
     correlation: list[Floats]
 
     @classmethod
@@ -221,51 +266,41 @@ class _Bank:
         reach = _REACH * np.hypot(sigma, SINGLE["receiver_lateness"] * float(speeds.max()))
         step = 0.5 * _shortest_wave(drive, max(float(speeds.min()), TrimSettings().slowest))
         count = int(np.ceil(reach / step))
-        ahead = step * np.arange(-count, count + 1)
+        ahead: Floats = step * np.arange(-count, count + 1, dtype=np.float64)
         shaped = float(np.ptp(drive.road.z, axis=1).max()) > _LEVEL_ACROSS
-        beside = int(np.ceil(_REACH * sigma / _ACROSS)) if shaped else 0
-        left = _ACROSS * np.arange(-beside, beside + 1)
-        have = {e.id for e in twin.effects}
-        specs = [e.model_dump() for e in twin.effects] + [{"id": n} for n in (_ALONG, _LEFT) if n not in have]
-        free = twin.with_changes({"effects": specs})
-        keys = tuple(f"effects.{name}.offset" for name in (_ALONG, _LEFT))
+        beside = int(np.ceil(min(_REACH * sigma, 2.0 * _room(drive)) / _ACROSS)) if shaped else 0
+        left: Floats = _ACROSS * np.arange(-beside, beside + 1, dtype=np.float64)
         channels = VERTICAL if shaped else ("vertical_acceleration", "pitch_rate")
-        measured = [np.stack([p.part.measured[c][p.rows] for c in channels], axis=1) for p in passes]
-        unit = np.sqrt(np.mean(np.concatenate(measured) ** 2, axis=0))
-        sums: list[tuple[Floats, Floats, Floats]] = []
-        for one, felt in zip(passes, measured, strict=True):
-            driven, own = one.part.road_excitation, (felt / unit)[:, :, None]
-            level = replace(driven, road=np.repeat(driven.road[:1], driven.road.shape[0], axis=0))
-            still = _expected(one, free, lanes(free, (), np.empty((1, 0))), level, channels) / unit[:, None]
-            found = np.empty((3, ahead.size, left.size))
-            for k, beside in enumerate(left):
-                values = np.column_stack([ahead, np.full(ahead.size, beside)])
-                expected = _expected(one, free, lanes(free, keys, values), driven, channels) / unit[:, None]
-                power = np.sum(expected**2, axis=(0, 1)) * np.sum(own**2)
-                found[0, :, k] = np.sum((expected - own) ** 2, axis=(0, 1))
-                found[1, :, k] = np.sum((expected - still) ** 2, axis=(0, 1))
-                found[2, :, k] = np.sum(expected * own, axis=(0, 1)) / np.sqrt(np.maximum(power, 1e-12))
-            sums.append((found[0], found[1], found[2]))
-        misfit, shaken, correlation = (list(column) for column in zip(*sums, strict=True))
-        return cls(drive, passes, ahead, left, misfit, shaken, correlation)
+        expectation = _Expectation.of(twin, channels, passes)
+        misfit, correlation = [], []
+        for one in passes:
+            felt = expectation.felt(one)
+            off, alike = np.empty((2, ahead.size, left.size))
+            for k, beside_it in enumerate(left):
+                expected = expectation.at(one, ahead, np.full(ahead.size, beside_it))
+                power = np.sum(expected**2, axis=(0, 1)) * np.sum(felt**2)
+                off[:, k] = np.sum((expected - felt) ** 2, axis=(0, 1))
+                alike[:, k] = np.sum(expected * felt, axis=(0, 1)) / np.sqrt(np.maximum(power, 1e-12))
+            misfit.append(off)
+            correlation.append(alike)
+        return cls(drive, passes, expectation, ahead, left, misfit, correlation)
 
     def found(self) -> Placement:
-        """The places of all passes; WorkError where there is none."""
-        counts = np.array([p.rows.size for p in self.passes])
-        # the size of the residual where every pass fits best, and how many samples of it are independent
-        size = sum(float(m.min()) for m in self.misfit) / counts.sum()
+        """The places of all passes; WorkError where there is none.
+
+        A pass is left out where what is expected differs between its probable places by more than the residual, so that
+        it could not be compared, or where it differs so much from what was felt.
+        """
+        rows = np.array([p.rows.size for p in self.passes])
+        # the residual's size where every pass fits best, and how many samples of it are independent
+        size = sum(float(m.min()) for m in self.misfit) / rows.sum()
         independent = min(1.0, 2.0 * self.drive.bandwidth / self.drive.rate)
-        logs = [-0.5 * independent * m / size for m in self.misfit]
-        marginals = self._smoothed(logs)
-        places: list[tuple[float, float, float]] = []
-        spans: list[tuple[float, float]] = []
-        found = zip(self.passes, self._smoothed(logs), self.shaken, self.correlation, strict=True)
-        for one, likely, shaken, correlation in found:
-            if float(np.sum(likely * shaken)) < size * one.rows.size:
-                continue  # it felt something else than the road: wherever that was, the road was level
+        marginals = self._smoothed([-0.5 * independent * m / size for m in self.misfit])
+        places, spans = [], list[tuple[float, float]]()
+        for one, likely, alike in zip(self.passes, marginals, self.correlation, strict=True):
             along, across = np.unravel_index(int(np.argmax(likely)), likely.shape)
-            near = np.abs(self.ahead - self.ahead[along]) < _shortest_wave(self.drive, one.motion[2])
-            if float(likely[near].sum()) < _SURE or correlation[along, across] < _ALIKE:
+            doubt = self._doubt(one, likely, (float(self.ahead[along]), float(self.left[across])))
+            if doubt > size * one.rows.size or alike[along, across] < _ALIKE:
                 spans.append(one.span)
             else:
                 places.append((one.motion[0], float(self.ahead[along]), float(self.left[across])))
@@ -277,15 +312,30 @@ class _Bank:
         t, ahead, left = np.array(places).T
         return Placement(t, ahead, left, tuple(spans))
 
+    def _doubt(self, one: _Pass, likely: Floats, best: tuple[float, float]) -> float:
+        """Mean square over the probable places of what is expected there less what is expected at the best."""
+        order = np.argsort(likely, axis=None)[::-1][:_PROBABLE]
+        along, across = np.unravel_index(order, likely.shape)
+        weight = likely.ravel()[order]
+        ahead, left = np.append(best[0], self.ahead[along]), np.append(best[1], self.left[across])
+        expected = self.expectation.at(one, ahead, left)
+        apart = np.sum((expected[:, :, 1:] - expected[:, :, :1]) ** 2, axis=(0, 1))
+        return float(apart @ weight / weight.sum())
+
     def _smoothed(self, logs: list[Floats]) -> list[Floats]:
         """Marginal probabilities (s, v) of the places of each pass, by forward and backward recursion."""
         motion = np.array([p.motion for p in self.passes])
         sigma = self.drive.position_sigma
-        along = course_covariance(*motion.T, sigma)
-        across = course_covariance(*motion.T[:2], np.zeros(len(motion)), sigma)
-        first = _normal(self.ahead, 0.0, along[0, 0])[:, None] * _normal(self.left, 0.0, across[0, 0])[None, :]
+        along = course_covariance(motion.T, sigma)
+        across = course_covariance(np.stack([*motion.T[:2], np.zeros(len(motion))]), sigma)
+        first = (
+            _normal(self.ahead, 0.0, along[0, 0])[:, None] * _normal(self.left, 0.0, across[0, 0])[None, :]
+        )
         steps = [
-            tuple(_transition(grid, c[k : k + 2, k : k + 2]) for grid, c in ((self.ahead, along), (self.left, across)))
+            tuple(
+                _transition(grid, c[k : k + 2, k : k + 2])
+                for grid, c in ((self.ahead, along), (self.left, across))
+            )
             for k in range(len(logs) - 1)
         ]
         likely = [np.exp(log - log.max()) for log in logs]
@@ -296,13 +346,6 @@ class _Bank:
         for (a, b), own in zip(reversed(steps), reversed(likely[1:]), strict=True):
             backward.insert(0, _scaled(a @ (backward[0] * own) @ b.T))
         return [_scaled(f * g) for f, g in zip(forward, backward, strict=True)]
-
-
-def _expected(
-    one: _Pass, twin: Twin, candidates: Floats, driven: Excitation, channels: tuple[str, ...]
-) -> Floats:
-    """(rows, C, L) signals of candidates on a pass, through the filter of the measured ones."""
-    return one.part.grid.apply(simulate_lanes(twin, candidates, driven).stacked(channels))[one.rows]
 
 
 def _normal(x: Floats, mean: Floats | float, variance: float) -> Floats:
