@@ -21,7 +21,7 @@ from suspension_twin.calibration.presets import (
 )
 from suspension_twin.calibration.request import CalibrationRequest
 from suspension_twin.drive.read import read_drive
-from suspension_twin.drive.types import Drive
+from suspension_twin.drive.types import Drive, FixData
 from suspension_twin.errors import InputError
 from suspension_twin.inference.excited_segments import TrimSettings, fit_rows, trim
 from suspension_twin.inference.gap import CHANNELS
@@ -118,10 +118,11 @@ def set_up(
         if should_stop():
             raise Interrupted
         note(f"reading {Path(bag).name}")
-        recordings.append(read_drive(bag, topics=request.topics))
+        recorded = read_drive(bag, topics=request.topics)
+        recordings.append(replace(recorded, fix=FixData.empty()) if request.no_position else recorded)
         check_recording(recordings[-1])
-    recorded = on_common_rate(recordings, FilterSpec())
-    drives = renamed([on_one_clock(observe_checked(d, twin, road)) for d in recorded])
+    alike = on_common_rate(recordings, FilterSpec())
+    drives = renamed([on_one_clock(observe_checked(d, twin, road)) for d in alike])
     placements = []
     for number, drive in enumerate(drives):
         note(f"placing {drive.name} on its road")

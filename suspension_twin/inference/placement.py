@@ -31,7 +31,7 @@ from suspension_twin.effects.registry import effect
 from suspension_twin.errors import WorkError
 from suspension_twin.inference.excited_segments import TrimSettings, fit_rows, trim
 from suspension_twin.inference.nuisance import course_covariance
-from suspension_twin.inference.observation import VERTICAL, Observation, first_fix, observe
+from suspension_twin.inference.observation import VERTICAL, Observation, observe, origin_of
 from suspension_twin.inference.priors import SINGLE
 from suspension_twin.models.excitation import coarser
 from suspension_twin.models.parameters import lanes
@@ -127,7 +127,7 @@ def on_one_clock(drive: Observation) -> Observation:
     if not is_open(drive):
         return drive
     recorded, twin = source.drive, source.twin
-    known = consistency(recorded, source.signals, twin.gps, twin.datum or first_fix(recorded))
+    known = consistency(recorded, source.signals, twin.gps, origin_of(twin, recorded))
     if known is None:
         return drive
     fix = replace(recorded.fix, t=recorded.fix.t + known.clock_offset)
