@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import solveh_banded
 from scipy.signal import correlate
 
-from suspension_twin.arrays import Floats
+from suspension_twin.arrays import Floats, runs
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
 from suspension_twin.inference.nuisance import OF_A_CALIBRATION
@@ -47,6 +47,8 @@ _ALIKE = 0.6
 #: s of a drive's way that its speed alone carries from a pass on.
 _CARRIED = 8.0
 _HZ = 20.0  # nodes of the speed
+#: s of a standstill at least: for a second or two smooth asphalt feels the same to an IMU.
+_STILL = 3.0
 
 
 @dataclass(frozen=True)
@@ -185,7 +187,10 @@ def _speed(signals: ImuSignals, known: tuple[Floats, Floats], passes: list[FeltP
     """(n,) m/s at the IMU's stamps, by speeds, standstill and longitudinal acceleration."""
     t = np.arange(signals.t[0], signals.t[-1] + 1.0 / _HZ, 1.0 / _HZ)
     pull = np.interp(t, signals.t, felt_acceleration(signals, 0.0)[0])
-    standing = np.interp(t, signals.t, signals.standing.astype(float)) > 0.5
+    standing = np.zeros(t.size, dtype=np.bool_)
+    for first, end in runs(signals.standing):
+        if signals.t[end - 1] - signals.t[first] >= _STILL:
+            standing |= (t >= signals.t[first]) & (t <= signals.t[end - 1])
     rows = [
         (np.interp(known[0], t, np.arange(t.size)), known[1], np.full(known[0].size, _doppler())),
         (

@@ -365,21 +365,19 @@ def course_covariance(motion: Floats, sigma: float) -> Floats:
 
     Parameters
     ----------
-    motion : (3, k) array
-        Times in s, courses in rad and speeds in m/s.
+    motion : (2, k) array
+        Times in s and courses in rad.
     sigma : float
-        The receiver's horizontal standard deviation in m; its error is correlated over ``position_memory`` s, and all
-        its positions are late by one time with the standard deviation ``receiver_lateness``.
+        The receiver's horizontal standard deviation in m; its error is correlated over ``position_memory`` s.
 
     Returns
     -------
     (k, k) array
-        ``sigma² cos(c_i - c_j) exp(-|t_i - t_j| / T) + lateness² v_i v_j``.
+        ``sigma² cos(c_i - c_j) exp(-|t_i - t_j| / T)``.
     """
-    t, course, speed = motion
+    t, course = motion
     apart, turn = np.subtract.outer(t, t), np.subtract.outer(course, course)
-    slow = sigma**2 * np.cos(turn) * np.exp(-np.abs(apart) / SINGLE["position_memory"])
-    return np.asarray(slow + SINGLE["receiver_lateness"] ** 2 * np.outer(speed, speed))
+    return np.asarray(sigma**2 * np.cos(turn) * np.exp(-np.abs(apart) / SINGLE["position_memory"]))
 
 
 def map_spread(drives: Sequence[Observation]) -> float:
@@ -401,9 +399,8 @@ def _knots(part: Observation, seconds: float) -> Floats:
 
 
 def _motion_at(part: Observation, t: Floats) -> Floats:
-    """(3, k) times in s, courses in rad and speeds in m/s of a drive at ``t`` (k,)."""
-    path = part.trajectory
-    return np.stack([t, np.interp(t, path.t, path.yaw), np.interp(t, path.t, path.speed)])
+    """(2, k) times in s and courses along the road in rad of a drive at ``t`` (k,)."""
+    return np.stack([t, np.where(np.interp(t, part.t, part.along) < 0.0, np.pi, 0.0)])
 
 
 def _hats(t: Floats, knots: Floats) -> Floats:

@@ -326,8 +326,8 @@ class _Bank:
         """Marginal probabilities (s, v) of the places of each pass, by forward and backward recursion."""
         motion = np.array([p.motion for p in self.passes])
         sigma = self.drive.position_sigma
-        along = course_covariance(motion.T, sigma)
-        across = course_covariance(np.stack([*motion.T[:2], np.zeros(len(motion))]), sigma)
+        across = course_covariance(motion.T[:2], sigma)
+        along = across + SINGLE["receiver_lateness"] ** 2 * np.outer(motion[:, 2], motion[:, 2])
         first = (
             _normal(self.ahead, 0.0, along[0, 0])[:, None] * _normal(self.left, 0.0, across[0, 0])[None, :]
         )
