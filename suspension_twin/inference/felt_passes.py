@@ -65,8 +65,7 @@ class FeltPass:
 def felt_passes(signals: ImuSignals, twin: Twin, road: Road, known: tuple[Floats, Floats]) -> list[FeltPass]:
     """Passes of the events of a road that a drive felt, in the order of time.
 
-    ``known``: stamps (k,) s and speeds (k,) m/s of a receiver or a wheel, none for none. Raises InputError where the
-    road has no events.
+    ``known``: stamps (k,) s and speeds (k,) m/s of a receiver or a wheel, none for none.
     """
     conditioner = Conditioner.for_stamps(signals.t, FilterSpec(), zero_phase=True)
     felt = conditioner.apply(np.column_stack([signals.vertical_acceleration, signals.rate[:, 1]]))
@@ -75,9 +74,7 @@ def felt_passes(signals: ImuSignals, twin: Twin, road: Road, known: tuple[Floats
     at = np.arange(road.u_first, road.u_last, road.u_step)
     events = profile_events(road.heights_uv(at, np.zeros_like(at)), road.u_step, road.u_first)
     if not events:
-        raise InputError(
-            "road", f"{road.name} has no event to be felt: without positions there must be a bump on it"
-        )
+        return []
     first, last = min(e.start for e in events), max(e.end for e in events)
     rate, vehicle = conditioner.rate, twin.vehicle
     count = int(np.log(_FASTEST / _SLOWEST) / np.log(_RATIO))
@@ -158,7 +155,11 @@ def felt_trajectory(drive: Drive, twin: Twin, signals: ImuSignals, road: Road) -
     known = velocity.t[good], np.hypot(*velocity.enu[good, :2].T)
     passes = felt_passes(signals, twin, road, known)
     if not passes:
-        raise InputError(drive.name, f"no pass of the road {road.name} is felt, and there are no positions")
+        raise InputError(
+            drive.name,
+            f"no positions, and no pass over a bump of the road {road.name} is felt: record /fix and /vel too, or "
+            "drive over a bump",
+        )
     t = signals.t
     speed = _speed(signals, known, passes)
     way = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(t) * (speed[1:] + speed[:-1]))])

@@ -264,7 +264,7 @@ class _Bank:
         sigma = drive.position_sigma
         speeds = np.array([p.motion[2] for p in passes])
         reach = _REACH * np.hypot(sigma, SINGLE["receiver_lateness"] * float(speeds.max()))
-        step = 0.5 * _shortest_wave(drive, max(float(speeds.min()), TrimSettings().slowest))
+        step = 0.5 * _shortest_wave(drive, float(np.median(speeds)))
         count = int(np.ceil(reach / step))
         ahead: Floats = step * np.arange(-count, count + 1, dtype=np.float64)
         shaped = float(np.ptp(drive.road.z, axis=1).max()) > _LEVEL_ACROSS
