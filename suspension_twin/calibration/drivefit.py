@@ -31,11 +31,17 @@ def drive_fits(setup: Setup, outcome: SearchOutcome, after: Twin, values: Floats
     for number, drive in enumerate(setup.drives):
         if setup.problem.simulation.stop():
             raise Interrupted
-        seen = drive
+        drive = seen = _displaced(drive, outcome)
         if drive.reading is not None and after.imu != drive.twin.imu:
             # another latency or mounting gives other measured signals and another motion
             seen = observe(drive.reading.drive, after, drive.road, drive.settings)
+<<<<<<< HEAD
         sides = [part.simulated(twin) for part, twin in ((drive, setup.original), (seen, after))]
+=======
+            place = setup.placements[number]
+            seen = seen if place is None else _displaced(place.moved(seen), outcome)
+        sides = [_simulated(p, twin) for p, twin in ((drive, setup.original), (seen, after))]
+>>>>>>> phone
         if not setup.on_road:  # some may validate
             number = next((k for k, part in enumerate(data.parts) if part is drive), -1)
         residual, correlation = _corrected(outcome, number, values)
@@ -60,6 +66,17 @@ def drive_fits(setup: Setup, outcome: SearchOutcome, after: Twin, values: Floats
             )
         )
     return tuple(found)
+
+
+def _displaced(drive: Observation, outcome: SearchOutcome) -> Observation:
+    """A whole drive moved by the receiver's error that was found at the knots of its parts."""
+    nuisances, data = outcome.problem.nuisances, outcome.problem.data
+    own = [k for k, part in enumerate(data.parts) if part.name == drive.name]
+    knots = [nuisances.wander_of(number, outcome.nuisance) for number in own]
+    t, ahead = (
+        (np.concatenate(columns) for columns in zip(*knots, strict=True)) if knots else (np.empty(0),) * 2
+    )
+    return drive.displaced(t, ahead) if t.size else drive
 
 
 def _profile(drive: Observation) -> tuple[Floats, Floats]:

@@ -76,6 +76,8 @@ class CalibrationRequest:
         Leave latency and mounting of the IMU as the file has them.
     topics : Topics
         Names of the topics in the bags.
+    no_position : bool
+        Leave the positions of the drives out: passes are found on the road by what was felt.
 
     Examples
     --------
@@ -97,6 +99,7 @@ class CalibrationRequest:
     state: str = ""
     keep_sensor: bool = False
     topics: Topics = Topics()
+    no_position: bool = False
 
 
 @dataclass(frozen=True)

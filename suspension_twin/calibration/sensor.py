@@ -102,7 +102,10 @@ def _closes(setup: Setup, outcome: SearchOutcome, clocks: list[int], offset: flo
     """Whether a common clock offset brings the calibrated twin nearer to its own drives, without the map offset that
     was fitted beside it: a twin file has none."""
     problem = outcome.problem
-    nuisance = np.repeat(-outcome.placed[:, None], 2, axis=1)
+    # where a receiver's error was found, the drive stays: a twin file has a latency, and no place
+    placed = np.array([".wander." in name for name in problem.nuisances.names], dtype=bool)
+    kept = np.where(placed, outcome.nuisance - outcome.placed, -outcome.placed)
+    nuisance = np.repeat(kept[:, None], 2, axis=1)
     nuisance[clocks] += np.array([0.0, offset]) - np.array(setup.lags)[:, None]
     signals, _ = problem.signals_of(outcome.values[:, None], np.zeros((0, 1)))
     without, with_it = setup.objective.costs(problem.likelihood.compared(signals, nuisance))

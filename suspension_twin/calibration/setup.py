@@ -21,11 +21,11 @@ from suspension_twin.calibration.presets import (
 )
 from suspension_twin.calibration.request import CalibrationRequest
 from suspension_twin.drive.read import read_drive
-from suspension_twin.drive.types import Drive
+from suspension_twin.drive.types import Drive, FixData
 from suspension_twin.errors import InputError
 from suspension_twin.inference.excited_segments import TrimSettings, fit_rows, trim
 from suspension_twin.inference.gap import CHANNELS
-from suspension_twin.inference.nuisance import OF_A_CALIBRATION, NuisancePriors, slow_position_error
+from suspension_twin.inference.nuisance import OF_A_CALIBRATION, NuisancePriors
 from suspension_twin.inference.objectives import Objective, Term, parse_objective
 from suspension_twin.inference.observation import (
     Observation,
@@ -34,6 +34,7 @@ from suspension_twin.inference.observation import (
     renamed,
     road_of,
 )
+from suspension_twin.inference.placement import Placement, is_open, on_one_clock, place
 from suspension_twin.inference.priors import SINGLE
 from suspension_twin.inference.problem import Data, Interrupted, Likelihood, Problem, Simulation
 from suspension_twin.inference.runs import is_actuated, observe_runs
@@ -59,8 +60,8 @@ _SURE = 0.02  # how much better the correlation has to become before a drive is 
 class Setup:
     """A ``problem`` ready to search, and the ``objective`` that its candidates are compared by.
 
-    ``original`` is the twin as given, ``drives`` are whole observations, ``problem.data.parts`` their simulated parts,
-    ``lags`` s by which each drive's pose was moved before the search.
+    ``original`` is the twin as given, ``drives`` are whole observations, where they were placed, ``problem.data.parts``
+    their simulated parts, ``lags`` s by which each drive's pose was moved before the search.
     """
 
     original: Twin
@@ -70,6 +71,7 @@ class Setup:
     drives: tuple[Observation, ...]
     lags: tuple[float, ...]
     warnings: tuple[str, ...]
+    placements: tuple[Placement | None, ...] = ()
 
     @property
     def twin(self) -> Twin:
@@ -123,10 +125,16 @@ def set_up(
         if should_stop():
             raise Interrupted
         note(f"reading {Path(bag).name}")
-        recordings.append(read_drive(bag, topics=request.topics))
+        recorded = read_drive(bag, topics=request.topics)
+        recordings.append(replace(recorded, fix=FixData.empty()) if request.no_position else recorded)
         check_recording(recordings[-1])
-    recorded = on_common_rate(recordings, FilterSpec())
-    drives = renamed([observe_checked(d, twin, road) for d in recorded])
+    alike = on_common_rate(recordings, FilterSpec())
+    drives = renamed([on_one_clock(observe_checked(d, twin, road)) for d in alike])
+    placements = []
+    for number, drive in enumerate(drives):
+        note(f"placing {drive.name} on its road")
+        placements.append(place(drive, twin))
+        drives[number] = drive if placements[-1] is None else placements[-1].moved(drive)
     data, lags, warnings = aligned_parts(twin, drives)
     terms = objective_terms(request, preset, drives)
     rates = {round(d.rate, 3) for d in drives}
@@ -135,7 +143,7 @@ def set_up(
             "drives", f"come at different rates ({sorted(rates)} Hz): calibrate on them one by one"
         )
     problem, objective = problem_of(twin, space, data, terms, priors, should_stop)
-    return Setup(original, preset, problem, objective, tuple(drives), lags, warnings)
+    return Setup(original, preset, problem, objective, tuple(drives), lags, warnings, tuple(placements))
 
 
 def observe_checked(
@@ -163,6 +171,8 @@ def problem_of(
     objective = Objective(terms, data.measured)
     drives = dict(zip(data.drive_of, data.parts, strict=True))
     wander = [_wander(drives[d], priors) for d in sorted(drives)]
+    if all(wander):  # clock and map are parts of the receiver's error then
+        priors = replace(priors, clock=0.0, map_position=0.0)
     likelihood = Likelihood(data, data.nuisances(priors, wander), objective)
     simulation = Simulation() if stop is None else Simulation(stop=stop)
     return Problem.of(twin, space, likelihood, simulation), objective
@@ -270,4 +280,4 @@ def _wander(drive: Observation, priors: NuisancePriors) -> float:
     """Standard deviation in m of the slow error of a drive's smoothed positions, 0 where it is not worth a nuisance."""
     if priors.wander is not None:
         return priors.wander
-    return slow_position_error(drive) if drive.position_sigma >= 0.1 else 0.0
+    return drive.position_sigma if is_open(drive) else 0.0

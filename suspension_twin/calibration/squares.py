@@ -82,6 +82,8 @@ def moved(problem: Problem, nuisance: Floats) -> Problem:
     metres, late = found.get("map_position", 0.0), found.get("clock_offset", 0.0)
     data = problem.data
     parts = [p.moved(late + found.get(f"{p.name}.clock_offset", 0.0), metres) for p in data.parts]
+    wander = (problem.nuisances.wander_of(number, nuisance) for number in range(len(parts)))
+    parts = [p.displaced(t, ahead) if t.size else p for p, (t, ahead) in zip(parts, wander, strict=True)]
     return replace(problem, likelihood=replace(problem.likelihood, data=replace(data, parts=tuple(parts))))
 
 
@@ -275,8 +277,9 @@ class _Fit:
         if not self.recorder.setup.on_road:
             return
         names = self.base.nuisances.names
-        offset = np.array([n == "map_position" or n.endswith(".clock_offset") for n in names], dtype=bool)
-        small = np.array([_PLACE_MAP if n == "map_position" else _PLACE_CLOCK for n in names])
+        clock = np.array([n.endswith(".clock_offset") for n in names], dtype=bool)
+        offset = clock | np.array([n == "map_position" or ".wander." in n for n in names], dtype=bool)
+        small = np.where(clock, _PLACE_CLOCK, _PLACE_MAP)
         found = np.where(offset, self.x[self.d :], 0.0)
         if np.any(np.abs(found) > small):
             self.placed = self.placed + found

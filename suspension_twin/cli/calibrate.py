@@ -118,6 +118,13 @@ def command(
             "--keep-sensor", help="Keep latency (s) and mounting (rad) of the IMU as the file has them."
         ),
     ] = False,
+    no_position: Annotated[
+        bool,
+        typer.Option(
+            "--no-position",
+            help="Leave positions out: passes over the bump are found by what was felt, forward along the road.",
+        ),
+    ] = False,
     force: Force = False,
 ) -> None:
     """Find a twin's characteristics from recorded drives over a known road.
@@ -148,6 +155,7 @@ def command(
         max_generations=max_generations,
         state=str(folder),
         keep_sensor=keep_sensor,
+        no_position=no_position,
     )
     outputs = Outputs(out, details_path(out), *pages, force=force, resumed_from=folder)
     store = Checkpoint(folder, "")  # refuses a folder that holds no checkpoints

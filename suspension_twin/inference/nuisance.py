@@ -37,6 +37,7 @@ __all__ = [
     "OF_PLANAR_MOTION",
     "NuisancePriors",
     "Nuisances",
+    "course_covariance",
     "map_spread",
     "slow_position_error",
 ]
@@ -188,14 +189,22 @@ class Nuisances:
         #: (m, C) of every part: the response to the planar motion alone; neither clock nor map shifts it.
         self.planar_response: tuple[Floats, ...] = ()
         self._knots: list[Floats] = []
+        motions: dict[int, list[Floats]] = {}
         for number, (part, drive) in enumerate(zip(parts, drive_of, strict=True)):
             knots = _knots(part, priors.wander_seconds) if wander[drive] > 0 else np.empty(0)
             self._knots.append(knots)
+            if knots.size:
+                motions.setdefault(drive, []).append(_motion_at(part, knots))
             for k in range(knots.size):
                 add(f"{part.name}.wander.{number}.{k}", "wander", wander[drive])
         self.parameters = tuple(parameters)
         self.names = tuple(p.key for p in parameters)
         self.spread = np.array([p.prior.spread for p in parameters])
+        #: (q, q) of the prior: the slow error of a receiver's positions is correlated over its knots.
+        self.covariance = np.diag(self.spread**2)
+        for drive, motion in motions.items():
+            own = [i for i, n in enumerate(self.names) if n.startswith(f"{drives[drive]}.wander.")]
+            self.covariance[np.ix_(own, own)] = course_covariance(np.hstack(motion), wander[drive])
         #: (q,) True where a value cannot be negative
         self.one_sided = np.array([p.lower == 0.0 for p in parameters], dtype=np.bool_)
         self._row = {name: i for i, name in enumerate(self.names)}
@@ -214,6 +223,13 @@ class Nuisances:
         known = copy(self)
         known.planar_response = tuple(responses)
         return known
+
+    def wander_of(self, number: int, values: Floats) -> tuple[Floats, Floats]:
+        """Times (k,) s and metres (k,) by which part ``number`` lies farther ahead by ``values`` (q,); none where k is
+        0."""
+        knots, drive = self._knots[number], self._drive_names[number]
+        rows = [self._row[f"{drive}.wander.{number}.{k}"] for k in range(knots.size)]
+        return knots, values[rows]
 
     @property
     def clocks(self) -> list[tuple[int, list[int]]]:
@@ -344,6 +360,26 @@ def slow_position_error(drive: Observation) -> float:
     return 0.5 * float(drive.position_sigma)
 
 
+def course_covariance(motion: Floats, sigma: float) -> Floats:
+    """(k, k) prior covariance in m² of a receiver's error along the vehicle's course.
+
+    Parameters
+    ----------
+    motion : (2, k) array
+        Times in s and courses in rad.
+    sigma : float
+        The receiver's horizontal standard deviation in m; its error is correlated over ``position_memory`` s.
+
+    Returns
+    -------
+    (k, k) array
+        ``sigma² cos(c_i - c_j) exp(-|t_i - t_j| / T)``.
+    """
+    t, course = motion
+    apart, turn = np.subtract.outer(t, t), np.subtract.outer(course, course)
+    return np.asarray(sigma**2 * np.cos(turn) * np.exp(-np.abs(apart) / SINGLE["position_memory"]))
+
+
 def map_spread(drives: Sequence[Observation]) -> float:
     """Standard deviation in m by which all drives' poses may be off the map along the road.
 
@@ -360,6 +396,11 @@ def _knots(part: Observation, seconds: float) -> Floats:
     t = part.t
     count = int((t[-1] - t[0]) // seconds) + 1
     return np.linspace(t[0], t[-1], count) if count > 1 else np.array([0.5 * (t[0] + t[-1])])
+
+
+def _motion_at(part: Observation, t: Floats) -> Floats:
+    """(2, k) times in s and courses along the road in rad of a drive at ``t`` (k,)."""
+    return np.stack([t, np.where(np.interp(t, part.t, part.along) < 0.0, np.pi, 0.0)])
 
 
 def _hats(t: Floats, knots: Floats) -> Floats:

@@ -21,6 +21,7 @@ from pydantic import BaseModel
 from suspension_twin.arrays import Floats, interpolated
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
+from suspension_twin.inference.felt_passes import felt_trajectory
 from suspension_twin.inference.gap import CHANNELS, Gap, main_channel, measure_gap
 from suspension_twin.inference.nuisance import OF_A_DRIVE, OF_PLANAR_MOTION, NuisancePriors
 from suspension_twin.inference.off_road import Ground, OffRoad, off_road
@@ -66,6 +67,7 @@ __all__ = [
     "content_digest",
     "first_fix",
     "observe",
+    "origin_of",
     "renamed",
     "road_of",
 ]
@@ -449,6 +451,17 @@ class Observation:
         moved = Trajectory(path.t, x, y, yaw, velocity, turn, acceleration, path.valid)
         return _observed(replace(source, trajectory=moved), self)
 
+    def displaced(self, t: Floats, ahead: Floats, left: Floats | None = None) -> Observation:
+        """The same drive with its path ``ahead`` along the vehicle's course and to the ``left`` by these (k,) m at the
+        times ``t`` (k,) s: linear between them, constant beyond."""
+        left = np.zeros_like(ahead) if left is None else left
+        source = self.source
+        path = source.trajectory
+        along, across = (np.interp(path.t, t, metres) for metres in (ahead, left))
+        cos, sin = np.cos(path.yaw), np.sin(path.yaw)
+        x, y = path.x + along * cos - across * sin, path.y + along * sin + across * cos
+        return _observed(replace(source, trajectory=replace(path, x=x, y=y)), self)
+
 
 def observe(
     drive: Drive,
@@ -501,9 +514,9 @@ def observe(
     timed = correction.timed(drive)
     same = replace(correction, upright=False) == plain
     mounted = signals if same else correction.signals(timed, twin.imu, settings.imu)
-    datum = twin.datum or first_fix(drive)
+    datum = origin_of(twin, drive)
     noticed = [*mounted.findings, *findings(timed, mounted, twin.gps, datum)]
-    if twin.datum is None and twin.road is not None:
+    if twin.datum is None and twin.road is not None and len(drive.fix):
         noticed.append(NO_DATUM)
     unusable = [f for f in told(noticed) if strict and f.level == "error"]
     for finding in (*unusable, *(f for f in noticed if f.code in refused)):
@@ -514,6 +527,8 @@ def observe(
         ahead = rpy_matrix(turn)[0]
         direction = float(ahead[0]), float(ahead[1]), float(ahead[2])
         signals, trajectory = satellite_motion(drive, signals, twin.gps, datum, direction)
+    elif not len(drive.fix):
+        trajectory = _felt(timed, twin, mounted, road, settings)
     else:
         try:
             trajectory = replace(_locked(timed, twin, mounted, settings, correction.upright), t=signals.t)
@@ -529,7 +544,9 @@ def observe(
         *(f.text for f in told(noticed) if f.level != "ok"),
         *((about,) if about else ()),
     )
-    return replace(found, warnings=said, grid=replace(found.grid, position_sigma=_position_sigma(drive)))
+    # a place that was felt is that of one axle or of the other
+    sigma = _position_sigma(drive) if len(drive.fix) else float(np.ptp(twin.vehicle.wheel_positions[:, 0]))
+    return replace(found, warnings=said, grid=replace(found.grid, position_sigma=sigma))
 
 
 def with_shown_errors(observation: Observation) -> Observation:
@@ -549,14 +566,14 @@ def with_shown_errors(observation: Observation) -> Observation:
     timed = base.timed(source.drive)
     if not clocks_with(e.id for e in twin.effects):
         shifted = replace(signals, t=signals.t - base.clock)
-        clock = clock_offset_beyond(timed, shifted, twin.gps, twin.datum or first_fix(timed))
+        clock = clock_offset_beyond(timed, shifted, twin.gps, origin_of(twin, timed))
     turn = _shown_turn(source, base) if base.turn is None else (0.0, 0.0, 0.0)
     return replace(observation, reading=replace(source, shown=SensorCorrection(turn, gain, clock)))
 
 
 def _shown_turn(source: Reading, base: SensorCorrection) -> Turn:
     twin, settings, trajectory = source.twin, source.settings, source.trajectory
-    datum = twin.datum or first_fix(source.drive)
+    datum = origin_of(twin, source.drive)
     roll, pitch, yaw = level_rpy(source.signals.up.mean(axis=0))
     timed = base.timed(source.drive)
 
@@ -636,6 +653,18 @@ def _locked(
     datum = twin.datum or first_fix(timed)
     trajectory = locked_trajectory(timed, signals, twin.gps, datum, signals.t, upright=upright)
     return denoised_motion(trajectory, signals, twin.cog_height) if settings.quiet else trajectory
+
+
+def _felt(timed: Drive, twin: Twin, signals: ImuSignals, road: Road, settings: ObserveSettings) -> Trajectory:
+    """The path of a drive without positions, as its sensors felt the road."""
+    trajectory = felt_trajectory(timed, twin, signals, road)
+    return denoised_motion(trajectory, signals, twin.cog_height) if settings.quiet else trajectory
+
+
+def origin_of(twin: Twin, drive: Drive) -> Datum:
+    """The origin of the map: of the twin file, else the first fix; without positions there is none to be placed."""
+    anywhere = Datum(latitude=0.0, longitude=0.0, altitude=0.0)
+    return twin.datum or (first_fix(drive) if len(drive.fix) else anywhere)
 
 
 def first_fix(drive: Drive) -> Datum:

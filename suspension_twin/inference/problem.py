@@ -205,6 +205,9 @@ class JointPrior:
         precision = np.zeros((d + q, d + q))
         precision[:d, :d] = space.prior_precision(CORRELATION)
         precision[np.arange(d, d + q), np.arange(d, d + q)] = 1.0 / nuisances.spread**2
+        slow = d + np.flatnonzero([".wander." in name for name in nuisances.names])
+        if slow.size:
+            precision[np.ix_(slow, slow)] = np.linalg.inv(nuisances.covariance[np.ix_(slow - d, slow - d)])
         return cls(precision, np.concatenate([space.z0, np.zeros(q)]))
 
 

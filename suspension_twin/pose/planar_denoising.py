@@ -22,7 +22,7 @@ from suspension_twin.signals.filters import FilterSpec, zero_phase
 from suspension_twin.signals.noise_floor import white_noise_sigma
 from suspension_twin.signals.offline import ImuSignals
 
-__all__ = ["SLOW", "denoised_motion", "wiener"]
+__all__ = ["SLOW", "denoised_motion", "felt_acceleration", "wiener"]
 
 #: Crossover from the acceleration of the path to that of the accelerometer.
 SLOW = FilterSpec(2, 0.4)
@@ -47,7 +47,7 @@ def denoised_motion(trajectory: Trajectory, signals: ImuSignals, centre: float) 
     yaw_rate = wiener(trajectory.yaw_rate, rate, lambda f: np.full_like(f, yaw**2 / nyquist))
     ax, ay = trajectory.acceleration.T
     turned = ay + trajectory.speed * (yaw_rate - trajectory.yaw_rate)
-    pull, push = _quick(signals, centre)
+    pull, push = felt_acceleration(signals, centre)
     # the lever arms from the sensor to the centre of gravity add the derivatives of the gyro noise
     ax = wiener(
         zero_phase(SLOW, rate, ax - pull) + pull,
@@ -64,7 +64,7 @@ def denoised_motion(trajectory: Trajectory, signals: ImuSignals, centre: float) 
     return replace(trajectory, yaw_rate=yaw_rate, acceleration=np.column_stack([ax, ay]))
 
 
-def _quick(signals: ImuSignals, centre: float) -> tuple[Floats, Floats]:
+def felt_acceleration(signals: ImuSignals, centre: float) -> tuple[Floats, Floats]:
     """(n,) m/s² forward and left at the height ``centre`` m above the origin of base_link, by the IMU alone."""
     spec = FilterSpec(_PLANAR.order, min(_PLANAR.cutoff, 0.4 * signals.rate_hz))
     rate = zero_phase(spec, signals.rate_hz, signals.rate)

@@ -102,7 +102,7 @@ def test_at_30_hz(rough_case: Any, drive: Drive, calibrated: Any) -> None:
 def test_without_gps(drive: Drive, calibrated: Run) -> None:
     none = np.empty(0)
     fix = FixData(none, none, none, none, np.empty(0, dtype=np.int8), np.empty((0, 3)))
-    refused(calibrated(replace(drive, name="blind", fix=fix)), "blind", "no GNSS fix", "record /fix")
+    refused(calibrated(replace(drive, name="blind", fix=fix)), "blind", "no positions", "record /fix")
 
 
 def test_far_from_the_road(rough_case: Any, drive: Drive, calibrated: Run) -> None:

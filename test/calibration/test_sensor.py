@@ -189,12 +189,11 @@ def test_at_one_speed_the_receiver_says_whether_it_is_the_clock(
     pass_case: Any, tmp_path: Path, sigma: float, written: bool
 ) -> None:
     """A clock 6 ms late and a map that is 25 mm off are the same at 4 m/s: where the receiver knows its place to a
-    centimetre it is the clock, where it does not nobody can say."""
+    centimetre it is the clock, where it does not nobody can say, and only the place is looked for."""
     drive = read_drive(pass_case.bag("pass"))
     fix = replace(drive.fix, sigma=np.full_like(drive.fix.sigma, sigma))
     late = replace(SensorCorrection(clock=-LATE).timed(drive), fix=fix, name="late")
     write_drive(late, tmp_path / "late")
     found = calibrate(CalibrationRequest(pass_case.twin, (str(tmp_path / "late"),)))
-    latency = {s.key: s for s in found.sensor}["imu.latency"]
-    assert latency.written is written
+    assert [s.written for s in found.sensor if s.key == "imu.latency"] == [True] * written
     assert found.twin.imu.latency == pytest.approx(LATE if written else 0.0, abs=2e-3)

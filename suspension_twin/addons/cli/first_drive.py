@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -23,6 +24,7 @@ from suspension_twin.addons.sources import LiveSource, make_sources
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.addons.sources.common.recorder import LiveRecorder
 from suspension_twin.addons.sources.common.runner import running
+from suspension_twin.addons.view.live import advice
 from suspension_twin.cli.calibrate import print_result, show_progress
 from suspension_twin.cli.common import Force, Outputs, ProgressLine, Seed, SourceUrls, TwinFile, output
 from suspension_twin.drive.write import BagWriter
@@ -71,7 +73,6 @@ def command(
     is printed. Without --source it listens to phones with Sensor Logger and shows how to connect one.
     """
     from suspension_twin.addons.sources.common.first_drive import FirstDrive
-    from suspension_twin.addons.view.live import advice
     from suspension_twin.calibration.output import details_path, write_result
     from suspension_twin.calibration.presets import preset_named
     from suspension_twin.calibration.request import CalibrationRequest
@@ -117,8 +118,6 @@ def command(
     console.print(f"Standstill: {guide.standstill}")
     for number, one in enumerate(guide.passes, 1):
         console.print(f"Pass {number}: {one}")
-    level, words = advice(guide.position_sigma, True)
-    console.print(words, style="yellow" if level else "")
     before, after = (getattr(result.drives[0], name).rms for name in ("gap_before", "gap_after"))
     console.print(f"Calibrated: gap {before:.3f} m/s² before, {after:.3f} after", style="bold")
     console.print(f"Written to {record}, {out} and {details_path(out)}")
@@ -137,6 +136,7 @@ async def _drive(
     Raises InputError where gravity shows that the sensor sits otherwise than the twin file says.
     """
     said: set[str] = set()
+    told = False
 
     def lines() -> list[Text]:
         steps = guide.steps()
@@ -157,6 +157,10 @@ async def _drive(
                 fresh = [line for line in _results(guide, twin) if line.plain not in said]
                 said.update(line.plain for line in fresh)
                 live.say(fresh)
+                if not told and math.isfinite(guide.position_sigma):
+                    told = True
+                    level, words = advice(guide.position_sigma, True)
+                    live.say([Text(words, style="yellow" if level else "")])
                 if guide.done:
                     break
                 live.show(lines)

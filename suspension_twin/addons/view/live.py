@@ -319,9 +319,10 @@ def advice(sigma: float, on_road: bool) -> tuple[int, str]:
     if sigma <= _FAIR:
         return 1, (
             f"Position known to {sigma:.2f} m only: long waves and the spectrum hold, single bumps come early or late. "
-            "A calibration will blame the suspension for part of that."
+            "A calibration finds the place of each pass over a bump by what is felt."
         )
     return 1, (
-        f"Position known to {sigma:.1f} m only, as from a phone without RTK: speed, the spectrum and the size of the "
-        "vibration hold; where a bump is does not, so the gap in time and a calibration on it mean nothing."
+        f"Position known to {sigma:.1f} m only, as from a phone without RTK: a calibration finds the place of each "
+        "pass over a bump by what is felt, and needs three of them; on a road without bumps it cannot. Live, a bump "
+        "comes early or late."
     )

@@ -1,0 +1,367 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Placement of a drive on its road by what its sensor felt, where the receiver leaves the place open.
+
+The error of a receiver's position is slow: its part along the vehicle's course is a function d(t), here the part along
+the course of an Ornstein-Uhlenbeck process with the receiver's own variance s² and a time constant T, and the way
+driven while the receiver is late by c,
+
+    cov(d_i, d_j) = s² cos(course_i - course_j) exp(-|t_i - t_j| / T) + var(c) v_i v_j.
+
+The drive is cut into passes, segments on which the road is felt. A bank of places is simulated for each of them: the
+given twin over the same motion, with the road looked up farther ahead and, where the road's wheel paths differ, farther
+to the left. The pattern of vertical acceleration, pitch and roll rate that both axles make a wheelbase apart gives each
+place its likelihood. Passes follow one another as the states of a hidden Markov chain: forward and backward over it
+gives the most probable places and their marginal probabilities. What is left, some centimetres at each knot
+of time, is found with the vehicle (``wander`` of :mod:`~suspension_twin.inference.nuisance`).
+
+A receiver's error matters where three standard deviations of it move the wheels by more than half the shortest wave
+that the comparison passes, v / (2 f_c) at its cut-off f_c. Below that, nothing is placed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from suspension_twin.arrays import Floats
+from suspension_twin.effects.registry import effect
+from suspension_twin.errors import WorkError
+from suspension_twin.inference.excited_segments import TrimSettings, fit_rows, trim
+from suspension_twin.inference.nuisance import course_covariance
+from suspension_twin.inference.observation import VERTICAL, Observation, observe, origin_of
+from suspension_twin.inference.priors import SINGLE
+from suspension_twin.models.excitation import coarser
+from suspension_twin.models.parameters import lanes
+from suspension_twin.models.simulate import simulate_lanes
+from suspension_twin.pose.imu_gnss_consistency import consistency
+from suspension_twin.vehicle.twin import Twin
+
+__all__ = ["Placement", "is_open", "on_one_clock", "place"]
+
+#: Standard deviations of a receiver's error that are looked through, as for every nuisance parameter.
+_REACH = 3.0
+#: m that wheel paths differ by at least for the lateral place to matter: a tape measure's millimetre.
+_LEVEL_ACROSS = 1e-3
+#: m between places side by side: the width of a tyre.
+_ACROSS = 0.2
+#: s of a step while places are looked for.
+_STEP = 2e-3
+#: Correlation of felt and expected pattern below which it is no pass of this road: a wrong road reaches 0.3
+#: (``calibration.checks``).
+_ALIKE = 0.5
+#: Places that are simulated once more, the most probable ones, to see how far they differ.
+_PROBABLE = 64
+_ALONG, _LEFT = "position_offset", "lateral_offset"
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """Places of k passes against their positions: middles ``t`` (k,) s, how much farther ``ahead`` along the vehicle's
+    course and to the ``left`` each lies, (k,) m; ``spans`` of passes that could not be placed, in s."""
+
+    t: Floats
+    ahead: Floats
+    left: Floats
+    spans: tuple[tuple[float, float], ...] = ()
+
+    def moved(self, observation: Observation) -> Observation:
+        """The drive where it was found, linear between passes; passes that could not be placed are not compared."""
+        found = on_the_lane(observation).displaced(self.t, self.ahead, self.left)
+        source, path = found.source, found.trajectory
+        valid = path.valid.copy()
+        for start, end in self.spans:
+            valid &= (path.t < start) | (path.t > end)
+        unknown = replace(found, reading=replace(source, trajectory=replace(path, valid=valid)))
+        said = (*observation.warnings, self.words(float(observation.t[0])))
+        return replace(on_the_lane(unknown), warnings=said)
+
+    def words(self, start: float) -> str:
+        """One line for people, times counted from ``start`` s."""
+        lost = ", ".join(f"{a - start:.0f} to {b - start:.0f} s" for a, b in self.spans)
+        return (
+            f"{self.t.size} segments are placed on the road by what was felt, {self.ahead.min():+.1f} to "
+            f"{self.ahead.max():+.1f} m ahead of their positions"
+        ) + (f"; left out, for their place cannot be told: {lost}" if lost else "")
+
+
+def _shortest_wave(drive: Observation, speed: float) -> float:
+    """m of the shortest wave of a road that the comparison passes at a ``speed`` in m/s."""
+    return speed / drive.bandwidth
+
+
+def is_open(drive: Observation) -> bool:
+    """Whether a receiver leaves the place open to what the comparison resolves: three of its standard deviations are
+    more than half the shortest wave at the drive's median speed."""
+    speed = np.abs(drive.speed)
+    moving = speed[speed > TrimSettings().slowest]
+    wave = _shortest_wave(drive, float(np.median(moving))) if moving.size else np.inf
+    return bool(_REACH * drive.position_sigma > 0.5 * wave)
+
+
+def on_the_lane(drive: Observation) -> Observation:
+    """The drive with its path moved sideways where its wheels would run beside the road within the receiver's error."""
+    source, path, road = drive.source, drive.trajectory, drive.road
+    middle, room = 0.5 * float(road.v[0] + road.v[-1]), _room(drive)
+    u, v = road.xy_to_uv(path.x, path.y)
+    inside = middle + np.clip(v - middle, -room, room)
+    beside = np.abs(v - inside)
+    off = (beside > 0.0) & (beside < _REACH * drive.position_sigma) & (u > road.u_first) & (u < road.u_last)
+    x, y = road.uv_to_xy(u, inside)
+    moved = replace(path, x=np.where(off, x, path.x), y=np.where(off, y, path.y))
+    return replace(drive, reading=replace(source, trajectory=moved)).displaced(path.t[:1], np.zeros(1))
+
+
+def _room(drive: Observation) -> float:
+    """m to either side of the middle of a drive's road within which its wheels stay on the road."""
+    half = float(np.abs(drive.twin.vehicle.wheel_positions[:, 1]).max()) + 0.5 * _ACROSS
+    return max(0.5 * float(drive.road.v[-1] - drive.road.v[0]) - half, 0.0)
+
+
+def on_one_clock(drive: Observation) -> Observation:
+    """The drive with its receiver's stamps earlier by what they are late, as IMU and receiver show it when the vehicle
+    brakes and turns, where the receiver leaves the place open: an accurate one has a clock worth keeping."""
+    source = drive.source
+    if not is_open(drive):
+        return drive
+    recorded, twin = source.drive, source.twin
+    known = consistency(recorded, source.signals, twin.gps, origin_of(twin, recorded))
+    if known is None:
+        return drive
+    fix = replace(recorded.fix, t=recorded.fix.t + known.clock_offset)
+    velocity = replace(recorded.velocity, t=recorded.velocity.t + known.clock_offset)
+    timed = observe(replace(recorded, fix=fix, velocity=velocity), twin, source.road, source.settings)
+    late = f"positions and velocities are taken as {-known.clock_offset:.2f} s late, by braking and turning"
+    return replace(timed, name=drive.name, warnings=(*timed.warnings, late))
+
+
+def place(drive: Observation, twin: Twin) -> Placement | None:
+    """Place a drive's passes on its road, where its receiver leaves that open to what the comparison resolves.
+
+    Parameters
+    ----------
+    drive : Observation
+        A drive with its receiver's positions.
+    twin : Twin
+        The twin as it is known before, of which the felt pattern is expected.
+
+    Returns
+    -------
+    Placement, optional
+        None where the receiver is accurate enough, or the vehicle's model knows no place on a road.
+
+    Raises
+    ------
+    WorkError
+        No pass can be placed.
+    """
+    if twin.model not in effect(_ALONG).hook.models or not is_open(drive):
+        return None
+    passes = _passes(on_the_lane(drive))
+    # without passes the road does not excite the vehicle, as is said elsewhere
+    return _Bank.of(drive, twin, passes).found() if passes else None
+
+
+@dataclass(frozen=True, eq=False)
+class _Pass:
+    """A segment on which the road is felt: its ``part`` with the lead, the samples ``rows`` of it that are compared."""
+
+    part: Observation
+    rows: NDArray[np.intp]
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last stamp in s."""
+        return float(self.part.t[self.rows[0]]), float(self.part.t[self.rows[-1]])
+
+    @property
+    def motion(self) -> tuple[float, float, float]:
+        """Its middle in s, the course there in rad and the median speed in m/s."""
+        path, (start, end) = self.part.trajectory, self.span
+        middle = 0.5 * (start + end)
+        own = (path.t >= start) & (path.t <= end)
+        return middle, float(np.interp(middle, path.t, path.yaw)), float(np.median(path.speed[own]))
+
+
+def _passes(drive: Observation) -> list[_Pass]:
+    """Segments of a drive on which the road is felt, none longer than the receiver's error is taken as constant."""
+    longest, settings = (
+        drive.usage.priors.wander_seconds,
+        replace(TrimSettings(), bridge=TrimSettings().window),
+    )
+    # where the road ends is not known yet
+    everywhere = replace(drive, grid=replace(drive.grid, mask=np.ones_like(drive.mask)))
+    found = []
+    for segment in trim(everywhere, settings):
+        wide = replace(segment, grid=replace(segment.grid, mask=np.ones_like(segment.mask)))
+        rows = fit_rows(wide, settings)
+        if rows.size < 0.5 * drive.rate:
+            continue
+        pieces = int(np.ceil(rows.size / drive.rate / longest))
+        for own in np.array_split(rows, pieces):
+            start, end = float(wide.t[own[0]]), float(wide.t[own[-1]])
+            part = drive.part(start - settings.lead, end + 0.5)
+            inside = np.flatnonzero((part.t >= start) & (part.t <= end))
+            found.append(_Pass(part, inside))
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Expectation:
+    """The ``channels`` that a twin makes of a place on the road, in the ``unit`` (C,) of each."""
+
+    twin: Twin
+    channels: tuple[str, ...]
+    unit: Floats
+
+    @classmethod
+    def of(cls, twin: Twin, channels: tuple[str, ...], passes: Sequence[_Pass]) -> _Expectation:
+        """In units of what was felt on all passes; the twin with the place as a number that may differ."""
+        have = {e.id for e in twin.effects}
+        specs = [e.model_dump() for e in twin.effects] + [{"id": n} for n in (_ALONG, _LEFT) if n not in have]
+        felt = [np.mean(_felt(p, channels) ** 2, axis=0) for p in passes]
+        return cls(twin.with_changes({"effects": specs}), channels, np.sqrt(np.mean(felt, axis=0)))
+
+    def felt(self, one: _Pass) -> Floats:
+        """(rows, C, 1) measured on a pass."""
+        return np.asarray((_felt(one, self.channels) / self.unit)[:, :, None])
+
+    def at(self, one: _Pass, ahead: Floats, left: Floats) -> Floats:
+        """(rows, C, L) expected on a pass at the places ``ahead`` and ``left`` (L,) m."""
+        keys = tuple(f"effects.{name}.offset" for name in (_ALONG, _LEFT))
+        candidates = lanes(self.twin, keys, np.column_stack([ahead, left]))
+        response = simulate_lanes(self.twin, candidates, coarser(one.part.road_excitation, _STEP))
+        expected = one.part.grid.apply(response.stacked(self.channels))[one.rows]
+        return np.asarray(expected / self.unit[:, None])
+
+
+def _felt(one: _Pass, channels: Sequence[str]) -> Floats:
+    """(rows, C) measured channels of a pass."""
+    return np.stack([one.part.measured[c][one.rows] for c in channels], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Bank:
+    """Every pass at places ``ahead`` (s,) and ``left`` (v,) m of its positions.
+
+    Of each pass (s, v): ``misfit``, the squared residual summed over its samples, and ``correlation`` of felt and
+    ``expected``.
+    """
+
+    drive: Observation
+    passes: list[_Pass]
+    expectation: _Expectation
+    ahead: Floats
+    left: Floats
+    misfit: list[Floats]
+    correlation: list[Floats]
+
+    @classmethod
+    def of(cls, drive: Observation, twin: Twin, passes: list[_Pass]) -> _Bank:
+        """Simulate the twin at every place."""
+        sigma = drive.position_sigma
+        speeds = np.array([p.motion[2] for p in passes])
+        reach = _REACH * np.hypot(sigma, SINGLE["receiver_lateness"] * float(speeds.max()))
+        step = 0.5 * _shortest_wave(drive, float(np.median(speeds)))
+        count = int(np.ceil(reach / step))
+        ahead: Floats = step * np.arange(-count, count + 1, dtype=np.float64)
+        shaped = float(np.ptp(drive.road.z, axis=1).max()) > _LEVEL_ACROSS
+        beside = int(np.ceil(min(_REACH * sigma, 2.0 * _room(drive)) / _ACROSS)) if shaped else 0
+        left: Floats = _ACROSS * np.arange(-beside, beside + 1, dtype=np.float64)
+        channels = VERTICAL if shaped else ("vertical_acceleration", "pitch_rate")
+        expectation = _Expectation.of(twin, channels, passes)
+        misfit, correlation = [], []
+        for one in passes:
+            felt = expectation.felt(one)
+            off, alike = np.empty((2, ahead.size, left.size))
+            for k, beside_it in enumerate(left):
+                expected = expectation.at(one, ahead, np.full(ahead.size, beside_it))
+                power = np.sum(expected**2, axis=(0, 1)) * np.sum(felt**2)
+                off[:, k] = np.sum((expected - felt) ** 2, axis=(0, 1))
+                alike[:, k] = np.sum(expected * felt, axis=(0, 1)) / np.sqrt(np.maximum(power, 1e-12))
+            misfit.append(off)
+            correlation.append(alike)
+        return cls(drive, passes, expectation, ahead, left, misfit, correlation)
+
+    def found(self) -> Placement:
+        """The places of all passes; WorkError where there is none.
+
+        A pass is left out where what is expected differs between its probable places by more than the residual, so that
+        it could not be compared, or where it differs so much from what was felt.
+        """
+        rows = np.array([p.rows.size for p in self.passes])
+        # the residual's size where every pass fits best, and how many samples of it are independent
+        size = sum(float(m.min()) for m in self.misfit) / rows.sum()
+        independent = min(1.0, 2.0 * self.drive.bandwidth / self.drive.rate)
+        marginals = self._smoothed([-0.5 * independent * m / size for m in self.misfit])
+        places, spans = [], list[tuple[float, float]]()
+        for one, likely, alike in zip(self.passes, marginals, self.correlation, strict=True):
+            along, across = np.unravel_index(int(np.argmax(likely)), likely.shape)
+            doubt = self._doubt(one, likely, (float(self.ahead[along]), float(self.left[across])))
+            if doubt > size * one.rows.size or alike[along, across] < _ALIKE:
+                spans.append(one.span)
+            else:
+                places.append((one.motion[0], float(self.ahead[along]), float(self.left[across])))
+        if not places:
+            raise WorkError(
+                f"{self.drive.name}: no place on the road {self.drive.road.name} is found for what was felt on its "
+                f"{len(spans)} passes, within {self.ahead[-1]:.0f} m of the positions of the receiver"
+            )
+        t, ahead, left = np.array(places).T
+        return Placement(t, ahead, left, tuple(spans))
+
+    def _doubt(self, one: _Pass, likely: Floats, best: tuple[float, float]) -> float:
+        """Mean square over the probable places of what is expected there less what is expected at the best."""
+        order = np.argsort(likely, axis=None)[::-1][:_PROBABLE]
+        along, across = np.unravel_index(order, likely.shape)
+        weight = likely.ravel()[order]
+        ahead, left = np.append(best[0], self.ahead[along]), np.append(best[1], self.left[across])
+        expected = self.expectation.at(one, ahead, left)
+        apart = np.sum((expected[:, :, 1:] - expected[:, :, :1]) ** 2, axis=(0, 1))
+        return float(apart @ weight / weight.sum())
+
+    def _smoothed(self, logs: list[Floats]) -> list[Floats]:
+        """Marginal probabilities (s, v) of the places of each pass, by forward and backward recursion."""
+        motion = np.array([p.motion for p in self.passes])
+        sigma = self.drive.position_sigma
+        across = course_covariance(motion.T[:2], sigma)
+        along = across + SINGLE["receiver_lateness"] ** 2 * np.outer(motion[:, 2], motion[:, 2])
+        first = (
+            _normal(self.ahead, 0.0, along[0, 0])[:, None] * _normal(self.left, 0.0, across[0, 0])[None, :]
+        )
+        steps = [
+            tuple(
+                _transition(grid, c[k : k + 2, k : k + 2])
+                for grid, c in ((self.ahead, along), (self.left, across))
+            )
+            for k in range(len(logs) - 1)
+        ]
+        likely = [np.exp(log - log.max()) for log in logs]
+        forward = [_scaled(first * likely[0])]
+        for (a, b), own in zip(steps, likely[1:], strict=True):
+            forward.append(_scaled((a.T @ forward[-1] @ b) * own))
+        backward = [np.ones_like(first)]
+        for (a, b), own in zip(reversed(steps), reversed(likely[1:]), strict=True):
+            backward.insert(0, _scaled(a @ (backward[0] * own) @ b.T))
+        return [_scaled(f * g) for f, g in zip(forward, backward, strict=True)]
+
+
+def _normal(x: Floats, mean: Floats | float, variance: float) -> Floats:
+    """Probabilities on a grid of a normal distribution, up to a factor."""
+    return np.exp(-0.5 * (x - mean) ** 2 / variance)
+
+
+def _transition(grid: Floats, covariance: Floats) -> Floats:
+    """(s, s) probabilities of the next place, each row given one place now, of two with a joint normal prior."""
+    gain = covariance[0, 1] / covariance[0, 0]
+    variance = covariance[1, 1] - gain * covariance[0, 1]
+    # a step is as wide as the grid is fine, at least
+    spacing = grid[1] - grid[0] if grid.size > 1 else 1.0
+    rows = _normal(grid[None, :], gain * grid[:, None], max(variance, (0.5 * spacing) ** 2))
+    return np.asarray(rows / rows.sum(axis=1, keepdims=True))
+
+
+def _scaled(probability: Floats) -> Floats:
+    return np.asarray(probability / max(float(probability.sum()), 1e-300))
