@@ -160,7 +160,7 @@ class CalibratorNode(ManagedNode):
             self._running = None
         for server in self._servers:
             server.destroy()
-        super().destroy_node()  # type: ignore[no-untyped-call]
+        super().destroy_node()
 
     def _busy(self) -> str:
         if self._running is None:

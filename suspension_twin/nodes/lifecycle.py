@@ -37,6 +37,11 @@ class ManagedNode(TwinNode, LifecycleNodeMixin):  # type: ignore[misc]
         self.active = self.values["autostart"]
         self._show_state()
 
+    def destroy_node(self) -> None:
+        """See the base class; the state machine holds on to the node otherwise."""
+        super().destroy_node()  # type: ignore[no-untyped-call]
+        self._state_machine.destroy_when_not_in_use()
+
     # What a subclass may override
 
     def lacks(self) -> str:
