@@ -100,9 +100,10 @@ def _cache_folder(module: str, more: tuple[str, ...] = ()) -> Path | None:
     In ``NUMBA_CACHE_DIR`` if it is set, else in the package's ``__pycache__``, else in the user's cache.
     """
     package = sys.modules[module.partition(".")[0]]
-    if any(getattr(m, "__file__", None) is None for m in (sys.modules[module], package)):  # of a notebook
+    own, whole = (getattr(m, "__file__", None) for m in (sys.modules[module], package))
+    if own is None or whole is None:  # of a notebook
         return None
-    root = Path(package.__file__).parent
+    root = Path(whole).parent
     digest = hashlib.blake2b(numba.__version__.encode(), digest_size=16)
     for name in (module, *more):
         for file in _files(name, root):

@@ -35,13 +35,9 @@ def drive_fits(setup: Setup, outcome: SearchOutcome, after: Twin, values: Floats
         if drive.reading is not None and after.imu != drive.twin.imu:
             # another latency or mounting gives other measured signals and another motion
             seen = observe(drive.reading.drive, after, drive.road, drive.settings)
-<<<<<<< HEAD
-        sides = [part.simulated(twin) for part, twin in ((drive, setup.original), (seen, after))]
-=======
             place = setup.placements[number]
             seen = seen if place is None else _displaced(place.moved(seen), outcome)
-        sides = [_simulated(p, twin) for p, twin in ((drive, setup.original), (seen, after))]
->>>>>>> phone
+        sides = [part.simulated(twin) for part, twin in ((drive, setup.original), (seen, after))]
         if not setup.on_road:  # some may validate
             number = next((k for k, part in enumerate(data.parts) if part is drive), -1)
         residual, correlation = _corrected(outcome, number, values)

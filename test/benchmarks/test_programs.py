@@ -37,6 +37,7 @@ TABLES = {
     "mutation": r"part +killed +survived",
     "paper": r"Pictures in",
     "peak": r"GFLOP/s on one core",
+    "phone": r"gap on an unseen drive",
     "plan_confusion": r"median place",
     "rig": r"Gap of the twin as it is written",
     "road_changes": r"named on the scanned road",
