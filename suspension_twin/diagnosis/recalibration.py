@@ -98,7 +98,7 @@ def recalibrated(judged: Judged, given: Twin, seed: int) -> list[Json]:
     random = np.random.default_rng(seed)
     draws = space.from_slopes(fit.x[:d, None] + root @ random.standard_normal((d, DRAWS)))
     sigma = np.array([given.deviation(key) for key in space.keys])
-    earlier = known[:, None] + sigma[:, None] * random.standard_normal((d, DRAWS))
+    earlier = known[:, None] + sigma[:, None] * random.standard_normal((known.size, DRAWS))
     after = twin_of(problem, fit)
     changes = [
         *_of_curves(space, (given, after), travel(after, problem), (earlier, draws)),

@@ -117,7 +117,7 @@ def test_everything_that_is_read_prints_in_a_few_lines_and_draws_itself(drive: D
 
 
 def test_measured_beside_simulated(drive: Drive, compared: Comparison) -> None:
-    difference = (compared.measured[CHANNEL] - compared.simulated[CHANNEL])[compared.observation.mask]
+    difference = (compared.measured[CHANNEL] - compared.simulated[CHANNEL])[compared.observation.driving]
     assert compared.t.shape == compared.measured[CHANNEL].shape
     assert np.sqrt(np.mean(difference**2)) == compared.gap.rms
     text = str(compared)
