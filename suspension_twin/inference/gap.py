@@ -195,7 +195,7 @@ def measure_gap(
     >>> result = simulate_drive(read_drive("bags/crg_road"), load_twin("bags/crg_road/twin.yaml"))
     >>> seen = result.observation
     >>> simulated = seen.condition(result.response)
-    >>> gap = measure_gap(seen.measured, simulated, seen.mask, seen.rate, 0.02)
+    >>> gap = measure_gap(seen.measured, simulated, seen.driving, seen.rate, 0.02)
     >>> gap.rms == result.gap.rms
     True
     """
