@@ -21,7 +21,6 @@ from pydantic import BaseModel
 from suspension_twin.arrays import Floats, interpolated
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
-from suspension_twin.inference.felt_passes import felt_trajectory
 from suspension_twin.inference.gap import CHANNELS, Gap, main_channel, measure_gap
 from suspension_twin.inference.nuisance import OF_A_DRIVE, OF_PLANAR_MOTION, NuisancePriors
 from suspension_twin.inference.off_road import Ground, OffRoad, off_road
@@ -657,6 +656,8 @@ def _locked(
 
 def _felt(timed: Drive, twin: Twin, signals: ImuSignals, road: Road, settings: ObserveSettings) -> Trajectory:
     """The path of a drive without positions, as its sensors felt the road."""
+    from suspension_twin.inference.felt_passes import felt_trajectory  # splines, which a live twin does without
+
     trajectory = felt_trajectory(timed, twin, signals, road)
     return denoised_motion(trajectory, signals, twin.cog_height) if settings.quiet else trajectory
 

@@ -138,9 +138,10 @@ def test_moving_the_map_moves_the_bump(prepared: Observation) -> None:
     assert when[0] - when[1] == pytest.approx(0.5 / 5.3, abs=0.03)  # the vehicle is taken to be farther on
 
 
-def test_no_fixes_is_said(drive: Drive, twin: Twin, bumps: Road) -> None:
-    with pytest.raises(InputError, match="bumps: fix"):
-        observe(without_fixes(drive), twin, bumps)
+def test_no_fixes_are_said_where_no_bump_is_felt(drive: Drive, twin: Twin, bumps: Road) -> None:
+    level = replace(bumps, z=np.zeros_like(bumps.z))
+    with pytest.raises(InputError, match="bumps: no positions, and no pass over a bump"):
+        observe(without_fixes(drive), twin, level)
 
 
 def test_an_imu_upside_down_is_refused_only_where_it_must_be_trusted(

@@ -157,21 +157,22 @@ def changed(record: RigRecord, name: str, by: np.ndarray) -> RigRecord:
     return replace(record, columns={**record.columns, name: old + by})
 
 
-def test_inputs_that_differ_by_the_noise_of_a_transducer_are_one_program(
+def test_inputs_that_differ_by_the_noise_of_a_transducer_share_an_excitation(
     corner: Twin, record: RigRecord, tmp_path: Path
 ) -> None:
-    """A hundredth of their rms, 0.1 mm of 10 mm."""
+    """A hundredth of their rms, 0.1 mm of 10 mm; an actuator repeats a program to some per cent."""
     rng = np.random.default_rng(0)
     road = record.columns["road_displacement"]
     noise = np.std(road) * rng.standard_normal(road.size)
-    others = [changed(record, "road_displacement", share * noise) for share in (0.005, 0.03)]
-    one, again, other, last = runs_of(corner, tmp_path, record, *others, record)
+    others = [changed(record, "road_displacement", share * noise) for share in (0.005, 0.03, 1.0)]
+    one, again, repeated, other, last = runs_of(corner, tmp_path, record, *others, record)
     assert one.excitation is again.excitation is last.excitation
-    assert other.excitation is not one.excitation
-    assert [r.name for r in (one, again, other, last)] == ["run", "run_2", "run_3", "run_4"]
+    assert other.excitation is not one.excitation is not repeated.excitation
+    assert [r.name for r in (one, again, other, last)] == ["run", "run_2", "run_4", "run_5"]
     # samples of one program at one time are held out together, of two programs never
     np.testing.assert_array_equal(one.position, again.position)
     np.testing.assert_array_equal(one.position, last.position)
+    np.testing.assert_array_equal(one.position, repeated.position)
     assert not set(other.usage.block) & set(one.usage.block)
     for run in (one, other):
         np.testing.assert_allclose(np.diff(run.position), 1.0 / run.rate)

@@ -221,7 +221,7 @@ def test_a_candidate_is_what_a_twin_of_its_own_is(twin: Twin) -> None:
 def test_what_cannot_be_simulated_is_named(twin: Twin) -> None:
     t = np.arange(50) / 100
     with pytest.raises(InputError, match="vehicle.spring.force: the spring never carries its static load"):
-        weak = {"vehicle.spring": {"compression": (0.1, 0.2), "force": (100.0, 100.0)}}
+        weak = {"vehicle.spring": {"compression": (0.1, 0.2), "force": (1000.0, 1000.0)}}
         simulate_twin(twin.with_changes(weak), rig_run(t, 0.0 * t))
     with pytest.raises(WorkError, match="diverges"):
         simulate_twin(twin, rig_run(t, 1e3 * t))
