@@ -656,7 +656,9 @@ def _locked(
 
 def _felt(timed: Drive, twin: Twin, signals: ImuSignals, road: Road, settings: ObserveSettings) -> Trajectory:
     """The path of a drive without positions, as its sensors felt the road."""
-    from suspension_twin.inference.felt_passes import felt_trajectory  # splines, which a live twin does without
+    from suspension_twin.inference.felt_passes import (
+        felt_trajectory,  # splines, which a live twin does without
+    )
 
     trajectory = felt_trajectory(timed, twin, signals, road)
     return denoised_motion(trajectory, signals, twin.cog_height) if settings.quiet else trajectory
