@@ -165,7 +165,12 @@ def felt_trajectory(drive: Drive, twin: Twin, signals: ImuSignals, road: Road) -
     way = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(t) * (speed[1:] + speed[:-1]))])
     times = np.array([p.t for p in passes])
     nearest = np.argmin(np.abs(t[:, None] - times[None, :]), axis=1)
-    u = way - np.interp(times, t, way)[nearest] + np.array([p.u for p in passes])[nearest]
+    # a place that jumped would drag the wheels over all the road between in one step: it goes over in a quarter of the
+    # time between two passes at least
+    reach = np.minimum(0.375 * np.diff(times), _CARRIED)
+    after, before = np.append(reach, _CARRIED), np.append(_CARRIED, reach)
+    knots = np.stack([times - before, times + after], axis=1).ravel()
+    u = way + np.interp(t, knots, np.repeat(np.array([p.u for p in passes]) - np.interp(times, t, way), 2))
     middle = np.full_like(u, 0.5 * (road.v[0] + road.v[-1]))
     x, y = road.uv_to_xy(u, middle)
     ahead, behind = (road.uv_to_xy(u + d, middle) for d in (0.25, -0.25))
@@ -180,7 +185,7 @@ def felt_trajectory(drive: Drive, twin: Twin, signals: ImuSignals, road: Road) -
         velocity=np.column_stack([speed, np.zeros_like(speed)]),
         yaw_rate=turn,
         acceleration=np.column_stack([np.gradient(speed, t), speed * turn]),
-        valid=np.asarray(np.abs(t - times[nearest]) < _CARRIED),
+        valid=np.asarray((t > (times - before)[nearest]) & (t < (times + after)[nearest])),
     )
 
 

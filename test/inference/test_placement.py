@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive, FixData
 from suspension_twin.errors import InputError
 from suspension_twin.inference.felt_passes import felt_passes
@@ -16,7 +17,7 @@ from suspension_twin.inference.observation import observe
 from suspension_twin.inference.placement import is_open, on_one_clock, place
 from suspension_twin.inference.synthetic import synthetic_drive
 from suspension_twin.pose.local_map import LocalMap
-from suspension_twin.road import Road, bump_road, circular, flat_road
+from suspension_twin.road import Road, bump_road, circular, flat_road, load_road
 from suspension_twin.vehicle.twin import Twin, load_twin
 
 KNOTS = ((0.0, 0.0), (4.0, 0.0), (7.0, 5.0), (13.0, 5.0), (15.0, 3.0))
@@ -108,3 +109,15 @@ def test_without_positions_a_bump_must_be_felt(twin: Twin) -> None:
     blind = replace(driven(twin, flat_road(length=70.0)), fix=FixData.empty())
     with pytest.raises(InputError, match="no pass over a bump"):
         observe(blind, twin, BUMP)
+
+
+def test_between_passes_over_one_bump_the_place_does_not_jump(repository: Path) -> None:
+    """A jump would drag the wheels over the bump within one step."""
+    folder = repository / "bags" / "bump_15kmh"
+    drive = replace(read_drive(folder), fix=FixData.empty())
+    observed = observe(drive, load_twin(folder / "twin.yaml"), load_road(folder / "road.crg"))
+    u, _ = observed.road.xy_to_uv(observed.trajectory.x, observed.trajectory.y)
+    speed = np.abs(np.diff(u)) / np.diff(observed.trajectory.t)
+    assert speed.max() < 20.0
+    used = observed.trajectory.valid[1:] & observed.trajectory.valid[:-1]
+    np.testing.assert_allclose(speed[used], observed.trajectory.speed[1:][used], atol=0.3)
