@@ -37,8 +37,8 @@ __all__ = ["straight", "yardstick"]
 
 #: Keys that are free with the slopes of a car with straight characteristics.
 _BESIDE = ("vehicle.tyre.vertical_stiffness", "vehicle.front.unsprung_mass", "vehicle.rear.unsprung_mass")
-_MOST_RUNS = 4  # parts that runs are held out in
-_FAINT = 1e-3  # weight of the prior beside residuals in units of the motion
+_MOST_RUNS = 4  # parts that runs are held out in (numerics: one more costs a fit)
+_FAINT = 1e-3  # weight of the prior beside residuals in units of the motion (numerics: it settles what is not seen)
 _DESCENT = GaussNewtonSettings(iterations=6, tolerance=1e-3)
 
 

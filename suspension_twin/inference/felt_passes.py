@@ -35,19 +35,19 @@ from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["FeltPass", "felt_passes", "felt_trajectory"]
 
-#: m/s between which passes are looked for, and the ratio of two speeds next to each other: the axles' delay at 4 m/s
-#: differs by a sample of 50 Hz.
+#: m/s between which passes are looked for (tolerance, by hand: walking pace to 60 km/h), and the ratio of two speeds
+#: next to each other (numerics): the axles' delay at 4 m/s differs by a sample of 50 Hz.
 _SLOWEST, _FASTEST, _RATIO = 1.5, 16.0, 1.03
 #: s before the first axle meets an event, and after the last one: the oscillation of a body at 1.3 Hz decays.
 _BEFORE, _AFTER = 0.3, 1.5
-#: s before that, in which a simulated vehicle settles.
+#: s before that, in which a simulated vehicle settles (numerics: more than a period of a body at 1.3 Hz).
 _SETTLE = 1.0
 #: Correlation of felt and expected pattern of a pass: that of a pass of another bump of half the length is 0.6.
 _ALIKE = 0.6
-#: s of a drive's way that its speed alone carries from a pass on.
+#: s of a drive's way that its speed alone carries from a pass on (tolerance, by hand: 0.1 m/s are 0.8 m then).
 _CARRIED = 8.0
-_HZ = 20.0  # nodes of the speed
-#: s of a standstill at least: for a second or two smooth asphalt feels the same to an IMU.
+_HZ = 20.0  # nodes of the speed (numerics, by hand)
+#: s of a standstill at least (tolerance, by hand): for a second or two smooth asphalt feels the same to an IMU.
 _STILL = 3.0
 
 

@@ -27,7 +27,7 @@ __all__ = ["CORNER_CHANNELS", "LinearCorner", "linear_corner"]
 
 #: Channels that a linear corner has; the force under a tyre needs a mass.
 CORNER_CHANNELS = ("body_acceleration", "wheel_acceleration", "suspension_deflection")
-#: Hz of body and wheel that a fit starts from: a car, a lorry, a rig for teaching; and s of the delay.
+#: Where a fit starts (numerics, by hand): Hz of body and wheel (a car, a lorry, a small rig); and s of the delay.
 _STARTS = ((1.3, 11.0), (2.5, 9.0), (5.0, 14.0))
 _DELAYS = (-0.03, 0.0, 0.03)
 _LEAST_DAMPING, _TAPER = 0.2, 0.5  # damping ratio of a start; s at both ends of a run that fade in and out

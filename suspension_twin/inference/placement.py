@@ -47,12 +47,12 @@ _REACH = 3.0
 _LEVEL_ACROSS = 1e-3
 #: m between places side by side: the width of a tyre.
 _ACROSS = 0.2
-#: s of a step while places are looked for.
+#: s of a step while places are looked for (numerics: a 40th of the period of wheel hop).
 _STEP = 2e-3
 #: Correlation of felt and expected pattern below which it is no pass of this road: a wrong road reaches 0.3
 #: (``calibration.checks``).
 _ALIKE = 0.5
-#: Places that are simulated once more, the most probable ones, to see how far they differ.
+#: Places that are simulated once more, the most probable ones, to see how far they differ (numerics: four blocks).
 _PROBABLE = 64
 _ALONG, _LEFT = "position_offset", "lateral_offset"
 
