@@ -84,7 +84,6 @@ CARRIES = {
     "tf_static": (_BASE, "`imu_link` and `gps_link`"),
     "robot_description": ("", "URDF of the vehicle, with the joints of `joint_states`"),
 }
-_HEADS = ("parameter", "unit", "range", "neutral", "prior", "what")
 #: Titles of the sections of effects.md, by where an effect acts.
 WHERE = {
     "strut": "In the struts",
@@ -321,16 +320,37 @@ def effects() -> str:
 def _effect(e: Any) -> str:
     from suspension_twin.diagnosis.library import DECOYS
 
-    tables = table(_HEADS, [_parameter(p, p.name in e.severity) for p in e.parameters])
-    for model, variant in e.variants.items():
-        rows = [_parameter(p, p.name in e.severity) for p in variant.parameters]
-        tables += f"\nOn `{model}`:\n\n{table(_HEADS, rows)}" if variant.parameters != e.parameters else ""
-    decoy = " Used by the diagnosis as a [decoy hypothesis](diagnosis.md#decoy-hypotheses)."
+    decoy = " A [decoy hypothesis](diagnosis.md#decoy-hypotheses)." if e.id in DECOYS else ""
     return (
-        f"\n### `{e.id}`: {e.title}\n\n{e.doc}\n\n{tables}\n"
-        f"Excited by {'; '.join(e.excited_by)}. Easily confused with {'; '.join(e.confused_with)}. "
-        f"For {', '.join(f'`{m}`' for m in e.models)}.{_common(e)}{decoy if e.id in DECOYS else ''}\n"
+        f"\n### `{e.id}`: {e.title}\n\n{e.doc}\n\n{''.join(_lines(e))}\n"
+        f"Excited by: {'; '.join(e.excited_by)}. Confused with: {'; '.join(e.confused_with)}. "
+        f"Models: {', '.join(f'`{m}`' for m in e.models)}.{_common(e)}{decoy}{_variants(e)}\n"
     )
+
+
+def _lines(e: Any) -> Iterable[str]:
+    """A line for each parameter; front and rear share one where they differ in nothing but the axle."""
+    given = {p.name: p for p in e.parameters}
+    for name, p in given.items():
+        rear = given.get(name.replace("front", "rear"), p)
+        front = given.get(name.replace("rear", "front"), p)
+        if rear is not p and _size(rear) == _size(p):
+            both = re.sub(r", front$|\bfront ", "", p.doc)
+            yield f"- {_name(e, p)}, {_name(e, rear)} {_size(p)}: {both}\n"
+        elif front is p or _size(front) != _size(p):
+            yield f"- {_parameter(e, p)}\n"
+
+
+def _variants(e: Any) -> str:
+    """In which parameters an effect differs on other models, but for axle and corner of a single corner."""
+    text, base = "", {p.name: p for p in e.parameters}
+    for model, variant in e.variants.items():
+        own = {p.name: p for p in variant.parameters}
+        missing = [f"`{name}`" for name in base if name not in own and not re.match("rear|corner", name)]
+        parts = [f"without {', '.join(missing)}"] * bool(missing)
+        parts += [_parameter(e, p) for name, p in own.items() if p != base.get(name)]
+        text += f" On `{model}`: {'; '.join(parts)}." if parts else ""
+    return text
 
 
 def _common(e: Any) -> str:
@@ -341,11 +361,19 @@ def _common(e: Any) -> str:
     return "" if usual is None else f" Up to {usual.prior.usual:g} {usual.unit or 'of change'} is normal."
 
 
-def _parameter(p: Any, severe: bool) -> list[str]:
-    prior = f"{p.prior.typical:g} {'×/÷' if p.prior.log else '±'} {p.prior.spread:g}"
-    name = f"**`{p.name}`**" if severe else f"`{p.name}`"
-    bounds = f"{p.lower:g} to {p.upper:g}"
-    return [name, p.unit or "–", bounds, f"{p.neutral:g}", "each value" if p.choices else prior, p.doc]
+def _name(e: Any, p: Any) -> str:
+    return f"**`{p.name}`**" if p.name in e.severity else f"`{p.name}`"
+
+
+def _size(p: Any) -> str:
+    """Unit, range, prior, and the value of a parameter that is not given where that is not 0."""
+    prior = f"{p.prior.typical:g} {'×/÷' if p.prior.log else '±'} {round(p.prior.spread, 4):g}"
+    neutral = [f"neutral {p.neutral:g}"] if p.neutral else []
+    return ", ".join([p.unit] * bool(p.unit) + [f"[{p.lower:g}, {p.upper:g}]"] + [prior] * (not p.choices) + neutral)
+
+
+def _parameter(e: Any, p: Any) -> str:
+    return f"{_name(e, p)} {_size(p)}: {p.doc}"
 
 
 # -- pictures ------------------------------------------------------------------------------------
