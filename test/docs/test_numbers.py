@@ -60,9 +60,13 @@ def in_the_code(repository: Path) -> dict[tuple[str, str], tuple[str, int]]:
 
 
 def on_the_page(repository: Path) -> dict[tuple[str, str], tuple[str, str, str]]:
-    """(file, name) to (value, kind, source)."""
+    """(file, name) to (value, kind, source); the kind is the heading above."""
     text = (repository / "docs" / "numbers.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| `(\w+\.py)` \| `(\w+)` \| (.*?) \| (\w+) \| (.+?) \|$", text, re.MULTILINE)
+    rows: list[tuple[str, str, str, str, str]] = []
+    for section in text.split("\n## ")[1:]:
+        kind = section.partition("s\n")[0].lower()
+        found = re.findall(r"^- `(\w+)\.(\w+)` (`.*?`|\d+ numbers): (.+)$", section, re.MULTILINE)
+        rows += [(f"{file}.py", name, value, kind, source) for file, name, value, source in found]
     assert len({row[:2] for row in rows}) == len(rows), "a number is listed twice"
     return {(file, name): (value, kind, source) for file, name, value, kind, source in rows}
 
