@@ -278,23 +278,35 @@ def definitions() -> str:
 
 
 def parameters() -> str:
-    """The parameters of every node."""
+    """The parameters of the nodes; one that several nodes declare alike is listed once."""
     from suspension_twin.nodes.base import COMMON
 
-    text, classes = "", _node_classes()
-    groups = {"every node": COMMON} | {
-        name: (*kind.common[len(COMMON) :], *kind.parameters) for name, kind in classes.items()
-    }
-    for name, declared in groups.items():
-        rows = []
-        for p in declared:
-            bounds = f"{p.low:g} to {p.high:g}" if p.low is not None else "fixed" if p.read_only else ""
-            rows.append([f"`{p.name}`", _default(p.default), bounds, p.text])
-        title = name if name == "every node" else f"`{name}`"
-        text += (
-            f"\n## {title[0].upper()}{title[1:]}\n\n{table(['parameter', 'default', 'range', 'what'], rows)}"
+    nodes: dict[Any, list[str]] = {}
+    for name, kind in _node_classes().items():
+        for p in (*kind.common, *kind.parameters):
+            nodes.setdefault(_described(p), []).append(name)
+    common = [_described(p) for p in COMMON]
+    sections: dict[str, list[str]] = {"Every node": [], "Several nodes": []}
+    for line, names in nodes.items():
+        if line in common or len(names) == len(_node_classes()):
+            sections["Every node"].append(line)
+        elif len(names) > 1:
+            sections["Several nodes"].append(f"{line} ({', '.join(f'`{name}`' for name in names)})")
+        else:
+            sections.setdefault(f"`{names[0]}`", []).append(line)
+    return (
+        "".join(
+            f"\n## {title}\n\n" + "".join(f"- {line}\n" for line in lines)
+            for title, lines in sections.items()
         )
-    return text + "\n"
+        + "\n"
+    )
+
+
+def _described(p: Any) -> str:
+    """Name, default, range and meaning of a node's parameter."""
+    bounds = f", [{p.low:g}, {p.high:g}]" if p.low is not None else ", fixed" if p.read_only else ""
+    return f"`{p.name}` {_default(p.default)}{bounds}: {p.text}"
 
 
 def _default(value: Any) -> str:
@@ -369,7 +381,9 @@ def _size(p: Any) -> str:
     """Unit, range, prior, and the value of a parameter that is not given where that is not 0."""
     prior = f"{p.prior.typical:g} {'×/÷' if p.prior.log else '±'} {round(p.prior.spread, 4):g}"
     neutral = [f"neutral {p.neutral:g}"] if p.neutral else []
-    return ", ".join([p.unit] * bool(p.unit) + [f"[{p.lower:g}, {p.upper:g}]"] + [prior] * (not p.choices) + neutral)
+    return ", ".join(
+        [p.unit] * bool(p.unit) + [f"[{p.lower:g}, {p.upper:g}]"] + [prior] * (not p.choices) + neutral
+    )
 
 
 def _parameter(e: Any, p: Any) -> str:
