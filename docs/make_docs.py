@@ -220,21 +220,8 @@ def _topic(name: str) -> str:
 
 
 def nodes() -> str:
-    """The nodes, each with its topics, services and actions."""
-    rows = []
-    for name, of in _graph().items():
-        given = [f"`{service}`" for service, _ in of["services"]]
-        served = ", ".join(given + [f"action `{action}`" for action, _ in of["actions"]])
-        rows.append(
-            [
-                f"`{name}`",
-                DOES[name],
-                ", ".join(f"{_topic(t)} {kind.replace('/msg', '')}" for t, kind in of["in"]),
-                ", ".join(_topic(t) for t, _ in of["out"]),
-                served,
-            ]
-        )
-    return table(["node", "does", "subscribes", "publishes", "services and actions"], rows)
+    """The nodes, each with what it does."""
+    return "".join(f"- `{name}`: {DOES[name]}\n" for name in _node_classes())
 
 
 def topics() -> str:
@@ -252,29 +239,30 @@ def topics() -> str:
     for topic, kind in kinds.items():
         into, out = (", ".join(f"`{n}`" for n in names) for names in ends[topic])
         sensor = out in ("", "`source`")
-        quality = "latched" if topic in latched else "best effort" if sensor else "reliable"
         frame, content = CARRIES[topic.removeprefix("/")]
+        content += "; latched" if topic in latched else ""
         ends_of = f"{'sensors, `source`' if sensor else out} → {into or 'you'}"
-        rows.append([_topic(topic), f"`{kind.replace('/msg', '')}`", ends_of, quality, frame, content])
-    return table(["topic", "type", "from → to", "QoS", "frame", "content and units"], rows)
+        rows.append([_topic(topic), f"`{kind.replace('/msg', '')}`", ends_of, frame, content])
+    return table(["topic", "type", "from → to", "frame", "content and units"], rows)
 
 
 def calls() -> str:
     """Services and actions."""
-    rows = []
+    text = ""
     for name, of in _graph().items():
         for what in ("services", "actions"):
-            rows += [[f"`{name}`", what[:-1], f"`{call}`", f"`{kind}`"] for call, kind in of[what]]
-    return table(["node", "what", "name", "type"], rows)
+            text += "".join(f"- {what[:-1]} `{call}` of `{name}`: `{kind}`\n" for call, kind in of[what])
+    return text
 
 
 def definitions() -> str:
-    """The project's own messages, services and actions as they are defined."""
+    """The project's own messages, services and actions with the first line of their files."""
     text = ""
     for folder in ("msg", "srv", "action"):
         for path in sorted((INTERFACES / folder).glob(f"*.{folder}")):
-            text += f"\n### {path.stem}\n\n```text\n{path.read_text(encoding='utf-8').strip()}\n```\n"
-    return text + "\n"
+            says = path.read_text(encoding="utf-8").splitlines()[0].removeprefix("# ")
+            text += f"- [`{path.stem}`](../{path.relative_to(ROOT).as_posix()}): {says}\n"
+    return text
 
 
 def parameters() -> str:
