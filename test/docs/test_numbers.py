@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``docs/numbers.md`` lists every number that the modules of the diagnosis set, with its value; its reason stands there or,
-of a tolerance or a definition, in a comment beside it."""
+"""``docs/numbers.md`` lists every number that the modules of the diagnosis set, with its value; its reason stands there
+or, of a tolerance or a definition, in a comment beside it."""
 
 from __future__ import annotations
 
