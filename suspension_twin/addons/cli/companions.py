@@ -44,16 +44,20 @@ class Recording(Companion):
         self._overwrite = settings.live.force
 
     @contextmanager
-    def beside(self, composed: Composed, _stop: Stop) -> Iterator[None]:
-        """See ``Companion``."""
+    def beside(self, composed: Composed, stop: Stop) -> Iterator[None]:
+        """See ``Companion``. Nothing interrupts between a sample's receipt, of which its sender is told, and the
+        bag."""
         from suspension_twin.addons.nodes.source import SourceNode
 
         source, (path,) = composed.nodes["source"], self.files
         assert isinstance(source, SourceNode)
         try:
-            with LiveRecorder(path, overwrite=self._overwrite) as recorder:
+            with LiveRecorder(path, overwrite=self._overwrite) as recorder, stop.held():
                 source.tap = lambda packet: recorder.write([packet])
-                yield
+                try:
+                    yield
+                finally:
+                    source.end()
         finally:
             source.tap = None
             if path.exists():

@@ -76,6 +76,11 @@ class SourceNode(TwinNode):
         """Addresses and settings for the user, a line each."""
         return self._receiver.notes
 
+    def end(self) -> None:
+        """Stop the sources, and deliver what they have received."""
+        self._receiver.close()
+        self.deliver()
+
     def destroy_node(self) -> None:
         """Stop the sources, then as in the base class."""
         if hasattr(self, "_receiver"):
