@@ -8,6 +8,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from suspension_twin.addons.cli.live_lines import say_reached
 from suspension_twin.addons.roads.drives.learning import twin_path
 from suspension_twin.addons.sources import make_sources
 from suspension_twin.addons.sources.common.hub import Hub
@@ -31,7 +32,7 @@ class Sources(Companion):
     """``--source``: checks the URLs; the node of live sources is one of those that run."""
 
     def __init__(self, urls: str, _settings: RunSettings) -> None:
-        make_sources(urls.split(), Hub())
+        say_reached(make_sources(urls.split(), Hub()))
 
 
 class Recording(Companion):

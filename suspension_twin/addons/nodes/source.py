@@ -66,9 +66,9 @@ class SourceNode(TwinNode):
             self.destroy_node()
             raise
         if not driven:
-            for (
-                note
-            ) in self._receiver.notes:  # not by the log, which goes out on /rosout: there is a token in it
+            reached = [s.reached for s in self._receiver.sources if s.reached]
+            for note in (*reached, *self._receiver.notes):
+                # not by the log, which goes out on /rosout: there is a token in it
                 print(note, file=sys.stderr, flush=True)
 
     @property

@@ -122,8 +122,9 @@ class Listener:
     ending = 0.5
 
     def __init__(self, app: web.Application, connections: int, **options: Any) -> None:
-        silent = {"logger": _silent(), "access_log": None}
-        self._runner = web.AppRunner(app, shutdown_timeout=self.ending, **silent, **options)
+        self._runner = web.AppRunner(
+            app, logger=_silent(), access_log=None, shutdown_timeout=self.ending, **options
+        )
         self._most = connections
         self._since: dict[asyncio.BaseProtocol, float] = {}
         self._known: set[asyncio.BaseProtocol] = set()
