@@ -322,10 +322,10 @@ def _typical_start(problem: Problem, base: Fit, hypothesis: Hypothesis) -> list[
     worse than nothing until they have moved: the lowest cost is no guide among starts.
     """
     effect, neutral = hypothesis.effect(hypothesis.effects[-1]), hypothesis.neutral()
-    names = [key.split(".")[2] for key in hypothesis.keys]
-    if all(neutral[i] == 0.0 for i, name in enumerate(names) if name in effect.severity):
+    names, typical = [key.split(".")[2] for key in hypothesis.keys], hypothesis.typical()
+    if all(neutral[i] == typical[i] for i, name in enumerate(names) if name in effect.severity):
         return []
-    start = np.concatenate([base.x[: problem.shared], np.zeros(len(hypothesis))])
+    start = np.concatenate([base.x[: problem.shared], typical])
     return [np.asarray(problem.having(hypothesis).clipped(start[:, None])[:, 0])]
 
 
@@ -458,7 +458,7 @@ def joint_fit(
     # with a large set-up error the baseline vehicle is wrong: start from the twin file
     starts[:p, many.shape[1] - far.shape[1] :] = problem.prior.centre[:, None]
     order = np.argsort(
-        problem.having(together).costs(starts) - coarse_search.waived_penalty(many), kind="stable"
+        problem.having(together).costs(starts) - coarse_search.waived_penalty(together, many), kind="stable"
     )
     tried = [
         (coarse_search.recentred(together, many[:, i]), starts[:, i])
