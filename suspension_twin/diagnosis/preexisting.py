@@ -10,7 +10,6 @@ effect is its gain beyond these.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -129,5 +128,5 @@ def _with_preexisting(
         starts.append(np.concatenate([one.fit.x[:p], *others]))
     x, _ = refit(problem.having(whole), starts, None, LONG)
     specs = whole.spec(whole.values(x[p:, None])[:, 0])
-    extended = replace(problem, twin=having_effects(problem.twin, specs))
+    extended = problem.with_twin(having_effects(problem.twin, specs))
     return extended, *refit(extended, [x[:p]], None, LONG)

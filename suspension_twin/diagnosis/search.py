@@ -342,10 +342,8 @@ def _softened_starts(
     if effect.where not in ("strut", "tyre", "body") or effect.tone is not None:
         return []
     p, whole = problem.shared, problem.having(hypothesis)
-    vehicles = [
-        problem.space.shifted(base.x[:p], springs, 2.0 * dampers)
-        for springs, dampers in product(_SOFTER, repeat=2)
-    ]
+    softer = product(_SOFTER, repeat=2) if problem.space.curves else [(0.0, 0.0)]
+    vehicles = [problem.space.shifted(base.x[:p], springs, 2.0 * dampers) for springs, dampers in softer]
     starts = [hypothesis.starts(_STARTS // 2, seed + 1)]
     # a stop that hardly touches has the lowest cost but no gradient: starts that touch are added
     if hypothesis.has_clearance:
