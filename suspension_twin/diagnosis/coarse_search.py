@@ -46,13 +46,15 @@ MISALIGNMENT_PENALTY = 12.0
 
 def recentred(hypothesis: Hypothesis, u: Floats) -> Hypothesis:
     """The hypothesis with its prior centred at those of the coordinates (k,) that are beyond ``REACH``."""
-    far = np.where(np.abs(u) > REACH, u, 0.0)
-    return replace(hypothesis, around=tuple(far.tolist())) if far.any() else hypothesis
+    home = hypothesis.typical()
+    far = np.abs(u - home) > REACH
+    return replace(hypothesis, around=tuple(np.where(far, u, home).tolist())) if far.any() else hypothesis
 
 
-def waived_penalty(u: Floats) -> Floats:
+def waived_penalty(hypothesis: Hypothesis, u: Floats) -> Floats:
     """(n,) prior cost of coordinates (k, n) beyond ``REACH``, less ``MISALIGNMENT_PENALTY`` that replaces it."""
-    far = np.where(np.abs(u) > REACH, u, 0.0)
+    away = u - hypothesis.typical()[:, None]
+    far = np.where(np.abs(away) > REACH, away, 0.0)
     return np.asarray(np.sum(far**2, axis=0) - MISALIGNMENT_PENALTY * far.any(axis=0))
 
 
@@ -68,7 +70,7 @@ def coarse_fit(
     if points is None:
         return None
     x = np.concatenate([np.repeat(problem.prior.centre[:, None], points.shape[1], axis=1), points])
-    costs = problem.having(hypothesis).costs(x) - waived_penalty(points)
+    costs = problem.having(hypothesis).costs(x) - waived_penalty(hypothesis, points)
     best = int(np.argmin(costs))
     if not np.isfinite(costs[best]):
         return None

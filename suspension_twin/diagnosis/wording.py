@@ -197,9 +197,15 @@ def _certain(cause: Document) -> dict[str, float]:
 
 
 def said(cause: Document) -> str:
-    """A cause with its parameters in words, of those that are certain."""
-    known = cause["effect"] in EFFECTS
-    return finding(cause["effect"], _certain(cause) if known else cause["parameters"])
+    """A cause with its parameters in words, of those that are certain; of an effect that the twin file has, both
+    sizes."""
+    effect, held = cause["effect"], cause.get("held", {})
+    words = finding(effect, _certain(cause) if effect in EFFECTS and not held else cause["parameters"])
+    if not held:
+        return words
+    size = EFFECTS[effect].severity if effect in EFFECTS else held
+    before = listed([f"{parameter_name(effect, n)} {parameter_value(effect, n, held[n])}" for n in size])
+    return f"{words} (in the twin file: {before})"
 
 
 def _otherwise(document: Document, named: Sequence[Document]) -> list[tuple[float, str]]:

@@ -339,15 +339,17 @@ def _rig(twin: Twin, paths: Sequence[str]) -> list[Observation]:
 
 def beside_linear(runs: Sequence[Observation]) -> list[Observation]:
     """Runs of a corner with the residual of a linear model of all of them: it caps the noise, and a fit counts each
-    channel in units of it."""
+    channel in units of it. One set of transducers has one noise: a floor counts motion as noise, so the least is it."""
     channels = [c for c in CORNER_CHANNELS if all(c in run.measured for run in runs)]
     corner, sign = linear_corner(runs, channels)
     beside = np.sqrt(max(len(channels) - 1, 1) / _BESIDE)
     found = []
+    known = {c for run in runs for c in run.noise_rms}
+    least = {c: min(run.noise_rms[c] for run in runs if c in run.noise_rms) for c in known}
     for run in runs:
         simulated = corner.signals(run)
         left = {c: float(np.std(run.measured[c] - simulated[c])) for c in channels}
-        floors = {c: min(floor, left.get(c, floor)) for c, floor in run.noise_rms.items()}
+        floors = {c: min(least[c], left.get(c, least[c])) for c in run.noise_rms}
         unit = {c: rms if c == channels[0] else beside * rms for c, rms in left.items()}
         usage = replace(run.usage, unit=unit)
         warnings = (*run.warnings, *([_REVERSED] if sign < -_SURE else []))

@@ -19,6 +19,7 @@ from suspension_twin.diagnosis.case import baseline, build, read_case
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.drive.rig import RigRecord, read_rig, write_rig
 from suspension_twin.errors import InputError, WorkError
+from suspension_twin.inference.problem import whitener_of
 from suspension_twin.inference.runs import observe_rig, observe_runs, repeats, rig_run, simulate_rig
 from suspension_twin.models.parameters import pack
 from suspension_twin.models.registry import model_of
@@ -227,6 +228,65 @@ def test_a_reference_is_no_witness_of_itself(corner: Twin, drops: RigRecord, tmp
         case = read_case(request, lambda note: None, lambda: False)
         problem, _, _ = baseline(case, build(case, lambda: False))
         assert [e is not None for e in problem.likelihood.expected] == expected
+
+
+def test_what_repeats_differ_by_is_noise_of_a_change(corner: Twin, tmp_path: Path) -> None:
+    """A rig that repeats to 7 % under a twin that misses nothing: the run after the references differs from them as
+    they do from each other, and what no unknown changes is simulated once."""
+    t = np.arange(0.0, 12.0, 0.005)
+
+    def smooth(seed: int, cutoff: float) -> np.ndarray:
+        sos = butter(2, cutoff, fs=200.0, output="sos")
+        found = sosfiltfilt(sos, np.random.default_rng(seed).standard_normal(t.size))
+        return np.asarray(found / np.std(found))
+
+    road = 0.01 * smooth(0, 8.0)
+    response = simulate_lanes(corner, pack(corner)[:, None], rig_run(t, road))
+    body = response.channel("body_acceleration")[:, 0]
+    noise = 0.002 * np.random.default_rng(9).standard_normal((3, t.size))
+    paths = [
+        written(
+            RigRecord(
+                "run",
+                t,
+                {
+                    "road_displacement": road,
+                    "body_acceleration": body + 0.07 * np.std(body) * smooth(1 + i, 20.0) + noise[i],
+                },
+            ),
+            tmp_path / f"{i}.csv",
+        )
+        for i in range(3)
+    ]
+    save_twin(corner, tmp_path / "twin.yaml")
+    request = DiagnosisRequest(str(tmp_path / "twin.yaml"), (paths[0],), tuple(paths[1:]))
+    case = read_case(request, lambda note: None, lambda: False)
+    problem, base, _ = baseline(case, build(case, lambda: False))
+    independent, shown = problem.measured.independent, whitener_of(problem).drive == 0
+    squares = base.at.residual[shown] ** 2 / independent
+    assert 0.3 < np.mean(squares) < 1.5
+    assert problem.d == 0 and problem.likelihood.still
+    moving = replace(problem, likelihood=replace(problem.likelihood, still=()))
+    unknowns = np.zeros((problem.shared, 2))
+    for one, other in zip(problem.signals(unknowns)[0], moving.signals(unknowns)[0], strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_one_set_of_transducers_has_one_noise(corner: Twin, tmp_path: Path) -> None:
+    """Motion counts as noise in a floor: the least of a rig's runs is theirs, that of a louder one as well."""
+    record = displaced(corner, 200.0, seconds=8.0)
+    shaken = record.columns["wheel_acceleration"] * 0.05 * np.sin(2 * np.pi * 60.0 * record.t)
+    loud = {**record.columns, "body_acceleration": record.columns["body_acceleration"] + shaken}
+    runs = observe_runs(
+        corner,
+        [
+            written(replace(record, columns=c), tmp_path / f"{i}.csv")
+            for i, c in enumerate((record.columns, loud))
+        ],
+    )
+    assert runs[0].noise_rms == runs[1].noise_rms
+    alone = observe_rig(record, ["body_acceleration"])
+    assert runs[1].noise_rms["body_acceleration"] <= alone.noise_rms["body_acceleration"]
 
 
 def test_a_bench_of_two_plates_is_calibrated_by_default(corner: Twin, tmp_path: Path) -> None:
