@@ -79,7 +79,7 @@ _LINK = re.compile(r"(?<!!)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^)\s#]+)\)")
 
 
 def read(app: Sphinx, page: str, source: list[str]) -> None:
-    """The navigation on the home page, the names on the API's, and folders, which no link leads to, as code."""
+    """What the site adds to pages: navigation, names of the API, the parameter file; links to folders are none."""
 
     def folder(found: re.Match[str]) -> str:
         text, target = found.groups()
@@ -93,6 +93,8 @@ def read(app: Sphinx, page: str, source: list[str]) -> None:
     if page == root_doc:
         for caption, pages in NAVIGATION.items():
             source[0] += "\n".join(["\n```{toctree}", ":hidden:", f":caption: {caption}", *pages, "```\n"])
+    elif page == "docs/parameters":
+        source[0] += f"\n```yaml\n{(ROOT / 'config' / 'nodes.yaml').read_text(encoding='utf-8')}```\n"
     elif page == "docs/api":
         names = yaml.safe_load((ROOT / "docs" / "api.yaml").read_text(encoding="utf-8"))
         for title, listed in names.items():

@@ -6,7 +6,7 @@
     python docs/make_docs.py pictures [NAME...]
 
 ``tables`` writes the generated parts, each between its marks: commands in commands.md, nodes, topics, services,
-actions and message definitions in interfaces.md, node parameters in parameters.md, effects in effects.md; of all these
+actions and message definitions in interfaces.md, effects in effects.md; of all these
 pages, or of those that are named: ``tables effects`` needs no ROS. A test says when one has fallen behind.
 ``pictures`` draws the pictures of this folder, or those that are named (demo, effects, damping, diagnosis, plan, rig);
 all of them take some minutes.
@@ -106,7 +106,6 @@ def parts() -> dict[Path, dict[str, Callable[[], str]]]:
             "calls": calls,
             "definitions": definitions,
         },
-        HERE / "parameters.md": {"parameters": parameters},
         HERE / "effects.md": {"effects": effects},
     }
 
@@ -263,44 +262,6 @@ def definitions() -> str:
             says = path.read_text(encoding="utf-8").splitlines()[0].removeprefix("# ")
             text += f"- [`{path.stem}`](../{path.relative_to(ROOT).as_posix()}): {says}\n"
     return text
-
-
-def parameters() -> str:
-    """The parameters of the nodes; one that several nodes declare alike is listed once."""
-    from suspension_twin.nodes.base import COMMON
-
-    nodes: dict[Any, list[str]] = {}
-    for name, kind in _node_classes().items():
-        for p in (*kind.common, *kind.parameters):
-            nodes.setdefault(_described(p), []).append(name)
-    common = [_described(p) for p in COMMON]
-    sections: dict[str, list[str]] = {"Every node": [], "Several nodes": []}
-    for line, names in nodes.items():
-        if line in common or len(names) == len(_node_classes()):
-            sections["Every node"].append(line)
-        elif len(names) > 1:
-            sections["Several nodes"].append(f"{line} ({', '.join(f'`{name}`' for name in names)})")
-        else:
-            sections.setdefault(f"`{names[0]}`", []).append(line)
-    return (
-        "".join(
-            f"\n## {title}\n\n" + "".join(f"- {line}\n" for line in lines)
-            for title, lines in sections.items()
-        )
-        + "\n"
-    )
-
-
-def _described(p: Any) -> str:
-    """Name, default, range and meaning of a node's parameter."""
-    bounds = f", [{p.low:g}, {p.high:g}]" if p.low is not None else ", fixed" if p.read_only else ""
-    return f"`{p.name}` {_default(p.default)}{bounds}: {p.text}"
-
-
-def _default(value: Any) -> str:
-    if isinstance(value, bool):
-        return f"`{str(value).lower()}`"
-    return "`''`" if value == "" else f"`{value}`"
 
 
 # -- effects -------------------------------------------------------------------------------------
