@@ -84,6 +84,8 @@ CARRIES = {
     "tf_static": (_BASE, "`imu_link` and `gps_link`"),
     "robot_description": ("", "URDF of the vehicle, with the joints of `joint_states`"),
 }
+#: Models of an effect that names none on its page.
+_USUAL_MODELS = ("full_car", "quarter_car")
 #: Titles of the sections of effects.md, by where an effect acts.
 WHERE = {
     "strut": "In the struts",
@@ -282,10 +284,12 @@ def _effect(e: Any) -> str:
     from suspension_twin.diagnosis.library import DECOYS
 
     decoy = " A [decoy hypothesis](diagnosis.md#decoy-hypotheses)." if e.id in DECOYS else ""
+    title = "" if e.title.replace("-", " ") == e.id.replace("_", " ") else f": {e.title}"
+    models = "" if e.models == _USUAL_MODELS else f" Models: {', '.join(f'`{m}`' for m in e.models)}."
     return (
-        f"\n### `{e.id}`: {e.title}\n\n{e.doc}\n\n{''.join(_lines(e))}\n"
-        f"Excited by: {'; '.join(e.excited_by)}. Confused with: {'; '.join(e.confused_with)}. "
-        f"Models: {', '.join(f'`{m}`' for m in e.models)}.{_common(e)}{decoy}{_variants(e)}\n"
+        f"\n### `{e.id}`{title}\n\n{e.doc}\n\n{''.join(_lines(e))}\n"
+        f"Excited by: {'; '.join(e.excited_by)}. Confused with: {'; '.join(e.confused_with)}."
+        f"{models}{_common(e)}{decoy}{_variants(e)}\n"
     )
 
 
