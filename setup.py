@@ -88,7 +88,8 @@ def data_files() -> list[tuple[str, list[str]]]:
     }
     bundled = [*(HERE / "launch").glob("*.launch.py")]
     for folder in ("config", "bags"):  # without the programs that made the bags
-        bundled += [p for p in (HERE / folder).rglob("*") if p.is_file() and p.suffix not in (".py", ".pyc")]
+        made_by = (".pyc", ".py") if folder == "bags" else (".pyc",)
+        bundled += [p for p in (HERE / folder).rglob("*") if p.is_file() and p.suffix not in made_by]
     for path in sorted(p.relative_to(HERE) for p in bundled):
         files.setdefault(SHARE / path.parent, []).append(path)
     return [(str(target), [str(f) for f in sources]) for target, sources in files.items()]
@@ -118,7 +119,19 @@ setup(
     },
     packages=find_packages(include=["suspension_twin", "suspension_twin.*"]),
     package_data={
-        "": ["py.typed", "*.html", "*.j2", "*.css", "*.js", "*.json", "*.yaml", "*.c", "*.h", "*.xml", "*.LICENSE"]
+        "": [
+            "py.typed",
+            "*.html",
+            "*.j2",
+            "*.css",
+            "*.js",
+            "*.json",
+            "*.yaml",
+            "*.c",
+            "*.h",
+            "*.xml",
+            "*.LICENSE",
+        ]
     },
     data_files=data_files(),
     entry_points={

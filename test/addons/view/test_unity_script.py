@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -113,15 +112,15 @@ static class Scene {
 
 
 def test_it_moves_body_and_wheels(repository: Path, tmp_path: Path) -> None:
-    page = (repository / "docs" / "engines.md").read_text(encoding="utf-8")
-    (script,) = re.findall(r"```csharp\n(.*?)```", page, re.DOTALL)
-    (tmp_path / "SuspensionTwin.cs").write_text(script, encoding="utf-8")
+    shutil.copy(repository / "config" / "engines" / "SuspensionTwin.cs", tmp_path)
     (tmp_path / "StandIns.cs").write_text(STAND_INS, encoding="utf-8")
     command = [str(MCS), "-out:scene.exe", "SuspensionTwin.cs", "StandIns.cs"]
     built = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert built.returncode == 0, built.stderr + built.stdout
     stamps, places = (100.0, 100.02), ((12.5, -3.0, 0.4), (12.8, -3.01, 0.41))
-    turns = [Rotation.from_euler("ZYX", angles).as_quat() for angles in ((2.0, 0.1, -0.05), (2.01, 0.11, -0.05))]
+    turns = [
+        Rotation.from_euler("ZYX", angles).as_quat() for angles in ((2.0, 0.1, -0.05), (2.01, 0.11, -0.05))
+    ]
     poses, given = FramePoses(), []
     for pose in zip(stamps, places, turns, strict=True):
         poses.push(*pose)
@@ -134,6 +133,8 @@ def test_it_moves_body_and_wheels(repository: Path, tmp_path: Path) -> None:
         wanted = poses.at(stamps[-1] + ahead)
         position, quaternion = to_unity(wanted.place, wanted.turn)
         sign = np.sign(np.dot(quaternion, found[3:7]))  # the same turn either way
-        np.testing.assert_allclose(found[:7], [*position, *(sign * np.array(quaternion))], atol=5e-6)  # in single precision
+        np.testing.assert_allclose(
+            found[:7], [*position, *(sign * np.array(quaternion))], atol=5e-6
+        )  # in single precision
     # compressed by 50 mm, at rest, at rest, extended by 30 mm: the wheel goes up in the body, or down
     np.testing.assert_allclose(found[7:], [0.35, 0.3, 0.3, 0.27], atol=1e-6)
