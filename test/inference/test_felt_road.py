@@ -88,7 +88,7 @@ def test_the_command(
     assert "needs the size of a bump" in capsys.readouterr().err
     assert main([*command, "--twin", given, "--bump", "0.9x0.05"]) == 0
     said = capsys.readouterr().out
-    assert "felt 10." in said and "at 18 km/h" in said and "datum: {latitude: 47.4025" in said
+    assert "felt 9.5 s after" in said and "at 18 km/h" in said and "datum: {latitude: 47.4025" in said
     taped = taped_features(tmp_path / "road.crg")
     assert taped is not None and [f.at for f in taped.features] == [FIRST_AT]
     assert load_road(tmp_path / "road.crg").headings[0] == pytest.approx(2.3, abs=0.02)
