@@ -34,7 +34,7 @@ _FAINT = 1e-3
 #: Residuals in floors (the median of the channels) up to which no other corner is tried.
 _AT_FLOOR = 1.3
 #: Offsets that are simulated from here on instead of interpolated: s and m.
-_PLACE_CLOCK, _PLACE_MAP, _PLACE_TAPE = 2e-3, 2e-2, 5e-4
+_PLACE_CLOCK, _PLACE_MAP = 2e-3, 2e-2
 #: Standard deviations of the random restarts of a search with a named objective.
 _SHAKES = (2.0, 4.0, 4.0)
 _NEAREST_CORNER = 0.003  # m
@@ -289,7 +289,7 @@ class _Fit:
         clock = np.array([n.endswith(".clock_offset") for n in names], dtype=bool)
         tape = np.array([n.startswith("tape.") for n in names], dtype=bool)
         offset = clock | tape | np.array([n == "map_position" or ".wander." in n for n in names], dtype=bool)
-        small = np.where(clock, _PLACE_CLOCK, np.where(tape, _PLACE_TAPE, _PLACE_MAP))
+        small = np.where(clock, _PLACE_CLOCK, np.where(tape, 0.0, _PLACE_MAP))
         found = np.where(offset, self.x[self.d :], 0.0)
         if np.any(np.abs(found) > small):
             self.placed = self.placed + found

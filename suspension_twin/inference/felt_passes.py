@@ -30,7 +30,7 @@ from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.pose.planar_denoising import felt_acceleration
 from suspension_twin.pose.smoothed import locked_trajectory
 from suspension_twin.pose.types import VELOCITY_SHARE, PoseSettings, Trajectory
-from suspension_twin.road.recipe import Feature, make_road
+from suspension_twin.road.recipe import FIRST_AT, Feature, make_road
 from suspension_twin.road.road import Road
 from suspension_twin.road.roughness import profile_events
 from suspension_twin.signals.conditioner import Conditioner
@@ -39,10 +39,8 @@ from suspension_twin.signals.ingest import ImuSettings
 from suspension_twin.signals.offline import ImuSignals
 from suspension_twin.vehicle.twin import Datum, Twin
 
-__all__ = ["FIRST_AT", "FeltPass", "FeltRoad", "felt_passes", "felt_road", "felt_trajectory"]
+__all__ = ["FeltPass", "FeltRoad", "felt_passes", "felt_road", "felt_trajectory"]
 
-#: m from the start of a road to its first bump, where nobody says: 40 m of lane are seen before and behind it.
-FIRST_AT = 40.0
 
 #: m/s between which passes are looked for (tolerance, by hand: walking pace to 60 km/h), and the ratio of two speeds
 #: next to each other (numerics): the axles' delay at 4 m/s differs by a sample of 50 Hz.

@@ -45,6 +45,7 @@ from suspension_twin.road.road import Road
 from suspension_twin.road.roughness import iso8608_road
 
 __all__ = [
+    "FIRST_AT",
     "TAPE",
     "TAPED_PLACE",
     "Feature",
@@ -61,6 +62,8 @@ Kind = Literal["bump", "hump", "plank", "pothole", "ramp"]
 #: Standard deviations in m of a size by tape and level, which are read to 5 mm, and of the distance between two bumps
 #: by a tape of 30 m that lies on the ground.
 TAPE, TAPED_PLACE = 0.005, 0.02
+#: m from the start of a road to its first feature, where nobody says: 40 m of lane lie before it.
+FIRST_AT = 40.0
 _SIZES = {"bump": (2,), "hump": (2, 3), "plank": (2,), "pothole": (2,), "ramp": (2,)}
 _WORDS = {
     "bump": "LENGTHxHEIGHT@U",

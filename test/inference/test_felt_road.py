@@ -13,12 +13,12 @@ from suspension_twin.cli.main import main
 from suspension_twin.drive.types import Drive, FixData
 from suspension_twin.drive.write import write_drive
 from suspension_twin.errors import InputError
-from suspension_twin.inference.felt_passes import FIRST_AT, felt_road
+from suspension_twin.inference.felt_passes import felt_road
 from suspension_twin.inference.observation import observe
 from suspension_twin.inference.placement import place
 from suspension_twin.inference.synthetic import synthetic_drive
 from suspension_twin.road import Road, load_road
-from suspension_twin.road.recipe import make_road, parse_feature, taped_features
+from suspension_twin.road.recipe import FIRST_AT, make_road, parse_feature, taped_features
 from suspension_twin.vehicle.twin import Twin, load_twin
 
 KNOTS = ((0.0, 0.0), (4.0, 0.0), (7.0, 5.0), (13.0, 5.0), (15.0, 3.0))
