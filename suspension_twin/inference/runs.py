@@ -21,7 +21,7 @@ from suspension_twin.drive.rig import RigRecord, read_rig, write_rig
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.files import together
 from suspension_twin.inference.gap import Comparison, Gap, write_gap
-from suspension_twin.inference.linear_corner import CORNER_CHANNELS, linear_corner
+from suspension_twin.inference.linear_corner import CORNER_CHANNELS, LinearCorner, linear_corner
 from suspension_twin.inference.marker_runs import CUTOFF, FLOORS, MARKERS, MarkerRun, low_pass, read_run
 from suspension_twin.inference.nuisance import OF_A_RIG, OF_A_RUN, NuisancePriors
 from suspension_twin.inference.observation import Grid, Observation, Usage, renamed
@@ -65,10 +65,6 @@ _DENSE, _WORTHWHILE = 2.0, 1.26
 _BESIDE = 0.25
 #: Standard deviations of the gain of an actuator's force from which on its sign is certain.
 _SURE = 3.0
-_REVERSED: Final = (
-    "actuator_force acts the other way round: a linear model of the runs has the body pushed down by it. Turn its "
-    "sign: a force that pushes the body up is positive"
-)
 _OBSTACLE_BLOCK = 0.5  # m of an obstacle run that is held out together
 #: m between the places of two programs.
 _APART = 1e4
@@ -343,6 +339,7 @@ def beside_linear(runs: Sequence[Observation]) -> list[Observation]:
     channels = [c for c in CORNER_CHANNELS if all(c in run.measured for run in runs)]
     corner, sign = linear_corner(runs, channels)
     beside = np.sqrt(max(len(channels) - 1, 1) / _BESIDE)
+    turned = [_reversed(runs, corner, channels[0])] if sign < -_SURE else []
     found = []
     known = {c for run in runs for c in run.noise_rms}
     least = {c: min(run.noise_rms[c] for run in runs if c in run.noise_rms) for c in known}
@@ -352,9 +349,24 @@ def beside_linear(runs: Sequence[Observation]) -> list[Observation]:
         floors = {c: min(least[c], left.get(c, least[c])) for c in run.noise_rms}
         unit = {c: rms if c == channels[0] else beside * rms for c, rms in left.items()}
         usage = replace(run.usage, unit=unit)
-        warnings = (*run.warnings, *([_REVERSED] if sign < -_SURE else []))
+        warnings = (*run.warnings, *turned)
         found.append(replace(run, noise_rms=floors, usage=usage, warnings=warnings))
     return found
+
+
+def _reversed(runs: Sequence[Observation], corner: LinearCorner, channel: str) -> str:
+    """The warning of a force of the other sign, with what a linear ``corner`` explains of ``channel`` by either."""
+
+    def explained(model: LinearCorner) -> str:
+        left = sum(float(np.var(run.measured[channel] - model.signals(run)[channel])) for run in runs)
+        return f"{100.0 * (1.0 - left / sum(float(np.var(run.measured[channel])) for run in runs)):.0f} %"
+
+    up = replace(corner, force=-corner.force)
+    return (
+        f"actuator_force acts the other way round: a linear model explains {explained(corner)} of the "
+        f"{channel.replace('_', ' ')} where the force pushes the body down, {explained(up)} where it pushes it up as "
+        "recorded. Write sign: -1 for actuator_force into the mapping file, or turn the column"
+    )
 
 
 def repeats(one: Observation, other: Observation) -> bool:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -214,7 +215,10 @@ def test_a_force_of_the_other_sign_is_reported(corner: Twin, tmp_path: Path) -> 
     for sign, count in ((1.0, 0), (-1.0, 1)):
         columns = {"road_displacement": road, "actuator_force": sign * force, "body_acceleration": body}
         (run,) = observe_runs(corner, [written(RigRecord("run", t, columns), tmp_path / f"{count}.csv")])
-        assert sum("actuator_force acts the other way round" in w for w in run.warnings) == count
+        said = [w for w in run.warnings if "actuator_force acts the other way round" in w]
+        assert len(said) == count and all("sign: -1 for actuator_force" in w for w in said)
+        shares = [float(v) for w in said for v in re.findall(r"(-?\d+) %", w)]
+        assert not said or shares[0] > max(90.0, shares[1] + 10.0)
 
 
 def test_a_reference_is_no_witness_of_itself(corner: Twin, drops: RigRecord, tmp_path: Path) -> None:
