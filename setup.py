@@ -118,7 +118,7 @@ setup(
     },
     packages=find_packages(include=["suspension_twin", "suspension_twin.*"]),
     package_data={
-        "": ["py.typed", "*.html", "*.j2", "*.css", "*.js", "*.json", "*.yaml", "*.c", "*.h", "*.xml"]
+        "": ["py.typed", "*.html", "*.j2", "*.css", "*.js", "*.json", "*.yaml", "*.c", "*.h", "*.xml", "*.LICENSE"]
     },
     data_files=data_files(),
     entry_points={

@@ -84,7 +84,6 @@ CARRIES = {
     "tf_static": (_BASE, "`imu_link` and `gps_link`"),
     "robot_description": ("", "URDF of the vehicle, with the joints of `joint_states`"),
 }
-_HEADS = ("parameter", "unit", "range", "neutral", "prior", "what")
 #: Titles of the sections of effects.md, by where an effect acts.
 WHERE = {
     "strut": "In the struts",
@@ -221,21 +220,8 @@ def _topic(name: str) -> str:
 
 
 def nodes() -> str:
-    """The nodes, each with its topics, services and actions."""
-    rows = []
-    for name, of in _graph().items():
-        given = [f"`{service}`" for service, _ in of["services"]]
-        served = ", ".join(given + [f"action `{action}`" for action, _ in of["actions"]])
-        rows.append(
-            [
-                f"`{name}`",
-                DOES[name],
-                ", ".join(f"{_topic(t)} {kind.replace('/msg', '')}" for t, kind in of["in"]),
-                ", ".join(_topic(t) for t, _ in of["out"]),
-                served,
-            ]
-        )
-    return table(["node", "does", "subscribes", "publishes", "services and actions"], rows)
+    """The nodes, each with what it does."""
+    return "".join(f"- `{name}`: {DOES[name]}\n" for name in _node_classes())
 
 
 def topics() -> str:
@@ -253,49 +239,62 @@ def topics() -> str:
     for topic, kind in kinds.items():
         into, out = (", ".join(f"`{n}`" for n in names) for names in ends[topic])
         sensor = out in ("", "`source`")
-        quality = "latched" if topic in latched else "best effort" if sensor else "reliable"
         frame, content = CARRIES[topic.removeprefix("/")]
+        content += "; latched" if topic in latched else ""
         ends_of = f"{'sensors, `source`' if sensor else out} → {into or 'you'}"
-        rows.append([_topic(topic), f"`{kind.replace('/msg', '')}`", ends_of, quality, frame, content])
-    return table(["topic", "type", "from → to", "QoS", "frame", "content and units"], rows)
+        rows.append([_topic(topic), f"`{kind.replace('/msg', '')}`", ends_of, frame, content])
+    return table(["topic", "type", "from → to", "frame", "content and units"], rows)
 
 
 def calls() -> str:
     """Services and actions."""
-    rows = []
+    text = ""
     for name, of in _graph().items():
         for what in ("services", "actions"):
-            rows += [[f"`{name}`", what[:-1], f"`{call}`", f"`{kind}`"] for call, kind in of[what]]
-    return table(["node", "what", "name", "type"], rows)
+            text += "".join(f"- {what[:-1]} `{call}` of `{name}`: `{kind}`\n" for call, kind in of[what])
+    return text
 
 
 def definitions() -> str:
-    """The project's own messages, services and actions as they are defined."""
+    """The project's own messages, services and actions with the first line of their files."""
     text = ""
     for folder in ("msg", "srv", "action"):
         for path in sorted((INTERFACES / folder).glob(f"*.{folder}")):
-            text += f"\n### {path.stem}\n\n```text\n{path.read_text(encoding='utf-8').strip()}\n```\n"
-    return text + "\n"
+            says = path.read_text(encoding="utf-8").splitlines()[0].removeprefix("# ")
+            text += f"- [`{path.stem}`](../{path.relative_to(ROOT).as_posix()}): {says}\n"
+    return text
 
 
 def parameters() -> str:
-    """The parameters of every node."""
+    """The parameters of the nodes; one that several nodes declare alike is listed once."""
     from suspension_twin.nodes.base import COMMON
 
-    text, classes = "", _node_classes()
-    groups = {"every node": COMMON} | {
-        name: (*kind.common[len(COMMON) :], *kind.parameters) for name, kind in classes.items()
-    }
-    for name, declared in groups.items():
-        rows = []
-        for p in declared:
-            bounds = f"{p.low:g} to {p.high:g}" if p.low is not None else "fixed" if p.read_only else ""
-            rows.append([f"`{p.name}`", _default(p.default), bounds, p.text])
-        title = name if name == "every node" else f"`{name}`"
-        text += (
-            f"\n## {title[0].upper()}{title[1:]}\n\n{table(['parameter', 'default', 'range', 'what'], rows)}"
+    nodes: dict[Any, list[str]] = {}
+    for name, kind in _node_classes().items():
+        for p in (*kind.common, *kind.parameters):
+            nodes.setdefault(_described(p), []).append(name)
+    common = [_described(p) for p in COMMON]
+    sections: dict[str, list[str]] = {"Every node": [], "Several nodes": []}
+    for line, names in nodes.items():
+        if line in common or len(names) == len(_node_classes()):
+            sections["Every node"].append(line)
+        elif len(names) > 1:
+            sections["Several nodes"].append(f"{line} ({', '.join(f'`{name}`' for name in names)})")
+        else:
+            sections.setdefault(f"`{names[0]}`", []).append(line)
+    return (
+        "".join(
+            f"\n## {title}\n\n" + "".join(f"- {line}\n" for line in lines)
+            for title, lines in sections.items()
         )
-    return text + "\n"
+        + "\n"
+    )
+
+
+def _described(p: Any) -> str:
+    """Name, default, range and meaning of a node's parameter."""
+    bounds = f", [{p.low:g}, {p.high:g}]" if p.low is not None else ", fixed" if p.read_only else ""
+    return f"`{p.name}` {_default(p.default)}{bounds}: {p.text}"
 
 
 def _default(value: Any) -> str:
@@ -321,16 +320,37 @@ def effects() -> str:
 def _effect(e: Any) -> str:
     from suspension_twin.diagnosis.library import DECOYS
 
-    tables = table(_HEADS, [_parameter(p, p.name in e.severity) for p in e.parameters])
-    for model, variant in e.variants.items():
-        rows = [_parameter(p, p.name in e.severity) for p in variant.parameters]
-        tables += f"\nOn `{model}`:\n\n{table(_HEADS, rows)}" if variant.parameters != e.parameters else ""
-    decoy = " Used by the diagnosis as a [decoy hypothesis](diagnosis.md#decoy-hypotheses)."
+    decoy = " A [decoy hypothesis](diagnosis.md#decoy-hypotheses)." if e.id in DECOYS else ""
     return (
-        f"\n### `{e.id}`: {e.title}\n\n{e.doc}\n\n{tables}\n"
-        f"Excited by {'; '.join(e.excited_by)}. Easily confused with {'; '.join(e.confused_with)}. "
-        f"For {', '.join(f'`{m}`' for m in e.models)}.{_common(e)}{decoy if e.id in DECOYS else ''}\n"
+        f"\n### `{e.id}`: {e.title}\n\n{e.doc}\n\n{''.join(_lines(e))}\n"
+        f"Excited by: {'; '.join(e.excited_by)}. Confused with: {'; '.join(e.confused_with)}. "
+        f"Models: {', '.join(f'`{m}`' for m in e.models)}.{_common(e)}{decoy}{_variants(e)}\n"
     )
+
+
+def _lines(e: Any) -> Iterable[str]:
+    """A line for each parameter; front and rear share one where they differ in nothing but the axle."""
+    given = {p.name: p for p in e.parameters}
+    for name, p in given.items():
+        rear = given.get(name.replace("front", "rear"), p)
+        front = given.get(name.replace("rear", "front"), p)
+        if rear is not p and _size(rear) == _size(p):
+            both = re.sub(r", front$|\bfront ", "", p.doc)
+            yield f"- {_name(e, p)}, {_name(e, rear)} {_size(p)}: {both}\n"
+        elif front is p or _size(front) != _size(p):
+            yield f"- {_parameter(e, p)}\n"
+
+
+def _variants(e: Any) -> str:
+    """In which parameters an effect differs on other models, but for axle and corner of a single corner."""
+    text, base = "", {p.name: p for p in e.parameters}
+    for model, variant in e.variants.items():
+        own = {p.name: p for p in variant.parameters}
+        missing = [f"`{name}`" for name in base if name not in own and not re.match("rear|corner", name)]
+        parts = [f"without {', '.join(missing)}"] * bool(missing)
+        parts += [_parameter(e, p) for name, p in own.items() if p != base.get(name)]
+        text += f" On `{model}`: {'; '.join(parts)}." if parts else ""
+    return text
 
 
 def _common(e: Any) -> str:
@@ -341,11 +361,21 @@ def _common(e: Any) -> str:
     return "" if usual is None else f" Up to {usual.prior.usual:g} {usual.unit or 'of change'} is normal."
 
 
-def _parameter(p: Any, severe: bool) -> list[str]:
-    prior = f"{p.prior.typical:g} {'×/÷' if p.prior.log else '±'} {p.prior.spread:g}"
-    name = f"**`{p.name}`**" if severe else f"`{p.name}`"
-    bounds = f"{p.lower:g} to {p.upper:g}"
-    return [name, p.unit or "–", bounds, f"{p.neutral:g}", "each value" if p.choices else prior, p.doc]
+def _name(e: Any, p: Any) -> str:
+    return f"**`{p.name}`**" if p.name in e.severity else f"`{p.name}`"
+
+
+def _size(p: Any) -> str:
+    """Unit, range, prior, and the value of a parameter that is not given where that is not 0."""
+    prior = f"{p.prior.typical:g} {'×/÷' if p.prior.log else '±'} {round(p.prior.spread, 4):g}"
+    neutral = [f"neutral {p.neutral:g}"] if p.neutral else []
+    return ", ".join(
+        [p.unit] * bool(p.unit) + [f"[{p.lower:g}, {p.upper:g}]"] + [prior] * (not p.choices) + neutral
+    )
+
+
+def _parameter(e: Any, p: Any) -> str:
+    return f"{_name(e, p)} {_size(p)}: {p.doc}"
 
 
 # -- pictures ------------------------------------------------------------------------------------

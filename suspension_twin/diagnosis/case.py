@@ -61,7 +61,7 @@ _PLANAR_ONLY = ObserveSettings(filter=FilterSpec(2, 1.6), satellites=True, satur
 _ON_ROAD = ObserveSettings(saturated=True)
 #: Error of a change that a model predicts, over its error about the sound vehicle at the same sample: a prior.
 _DOUBT = 0.5
-#: Seconds of compared driving below which nothing can be held out from the fit.
+#: Seconds of compared driving below which nothing can be held out from the fit: two blocks of time.
 SHORTEST = 8.0
 #: Receiver's standard deviation in m from which on a drive has its own slow position error.
 _INACCURATE = 0.1

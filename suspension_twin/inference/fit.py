@@ -48,7 +48,8 @@ __all__ = [
 FIT_SETTINGS = WHITENED
 #: Iterations at most of a first fit, of one from a start of its own, and of a joint one; a fit ends by itself before.
 ROUGH, DEEP, LONG = 4, 6, 15
-#: Scan of an effect coordinate: points, range in standard deviations of its prior, and points simulated after refit.
+#: Scan of an effect coordinate: points, range in standard deviations (99 % of a normal prior), and
+#: points simulated after refit.
 _SWEPT, _FAR, _TRIED = 9, 2.5, 4
 
 

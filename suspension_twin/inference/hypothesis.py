@@ -25,7 +25,7 @@ from suspension_twin.vehicle.twin import EffectSpec, Twin
 __all__ = ["BASELINE", "Hypothesis", "combined", "having_effects"]
 
 _DRIVE = "@"
-_WIDTH = 1.4  # standard deviation of the starting points, in that of the prior
+_WIDTH = 1.4  # standard deviation of the starting points, in that of the prior: they reach its tails
 
 
 @stored
