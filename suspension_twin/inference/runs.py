@@ -65,6 +65,9 @@ _DENSE, _WORTHWHILE = 2.0, 1.26
 _BESIDE = 0.25
 #: Standard deviations of the gain of an actuator's force from which on its sign is certain.
 _SURE = 3.0
+#: Correlation from which on two transducers saw one motion, and the factor between them from which on it is no gain: a
+#: calibration is off by some per cent, the nearest wrong unit (feet) by 3.3.
+_ALIKE, _OTHER_UNIT = 0.9, 2.0
 _OBSTACLE_BLOCK = 0.5  # m of an obstacle run that is held out together
 #: m between the places of two programs.
 _APART = 1e4
@@ -169,7 +172,24 @@ def observe_rig(
         priors=OF_A_RIG,
         block=TWO_PERIODS,
     )
-    return replace(found, warnings=record.warnings)
+    return replace(found, warnings=(*record.warnings, *_contradictions(record, apply)))
+
+
+def _contradictions(record: RigRecord, apply: Callable[[ArrayLike], Floats]) -> list[str]:
+    """Channels that move as other columns of the run say, but by another factor: a unit or a sign is wrong."""
+    found = []
+    for name in CORNER_CHANNELS:
+        others = replace(record, columns={k: v for k, v in record.columns.items() if k != name})
+        derived = others.channel(name)
+        if name not in record.columns or derived is None:
+            continue
+        measured, said = apply(record.columns[name]), apply(derived)
+        factor = float(measured @ said) / max(float(said @ said), 1e-300)
+        alike = abs(float(np.corrcoef(measured, said)[0, 1])) > _ALIKE if np.ptp(measured) > 0.0 else False
+        if alike and not 1.0 / _OTHER_UNIT < factor < _OTHER_UNIT:
+            words = f"{factor:.2g} times what the displacements of body and wheel say"
+            found.append(f"{name} is {words}: a unit or a sign is another than its column says")
+    return found
 
 
 def _on_coarse_stamps(record: RigRecord, channels: Sequence[str]) -> RigRecord:

@@ -156,6 +156,33 @@ def test_displacements_are_compared_as_the_accelerations_that_they_hold(corner: 
     assert "suspension_deflection" in derived.measured
 
 
+@pytest.mark.parametrize(
+    ("name", "factor", "words"),
+    [
+        ("body_acceleration", 1.0 / 9.80665, "body_acceleration is 0.1 times what the displacements"),
+        ("body_acceleration", -1.0, "body_acceleration is -1 times what the displacements"),
+        ("wheel_acceleration", 9.80665, "wheel_acceleration is 9.8 times what the displacements"),
+        ("wheel_acceleration", 1.15, ""),
+        ("suspension_deflection", 0.3048, "suspension_deflection is 0.3 times what the displacements"),
+        ("suspension_deflection", 1.0, ""),
+    ],
+)
+def test_a_unit_that_contradicts_another_column_is_said(
+    corner: Twin, tmp_path: Path, name: str, factor: float, words: str
+) -> None:
+    """Encoders of 5 µm beside the accelerometers; a gain that is off by 15 % is no unit."""
+    record, rng = displaced(corner, 500.0, seconds=6.0), np.random.default_rng(4)
+    columns = {
+        k: v + (5e-6 * rng.standard_normal(v.size) if k.endswith("displacement") else 0.0)
+        for k, v in record.columns.items()
+    }
+    columns["suspension_deflection"] = columns["wheel_displacement"] - columns["body_displacement"]
+    columns[name] = factor * columns[name]
+    (run,) = observe_runs(corner, [written(replace(record, columns=columns), tmp_path / "run.csv")])
+    said = [w for w in run.warnings if "what the displacements" in w]
+    assert len(said) == bool(words) and all(w.startswith(words) for w in said)
+
+
 def test_the_floor_of_displacements_is_not_that_of_white_noise(corner: Twin, drops: RigRecord) -> None:
     """Encoders of 2 µm: twice differentiated, their noise lies at high frequencies, where the low-pass removes it."""
     rng, record = np.random.default_rng(1), displaced(corner, 500.0)
