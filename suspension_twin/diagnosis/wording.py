@@ -328,7 +328,9 @@ def _recalibration(document: Document) -> list[str]:
 def _remaining(document: Document) -> str:
     """An unexplained gap in words: its size, and the shapes and errors that it resembles."""
     unit, signature = channel_unit(document["gap"]["channel"]), document.get("signature", {})
-    words = [f"{document['gap_after']:.2g} {unit} of the gap remain"]
+    gap = float(document["gap_after"])
+    beyond = f"{gap:.2g} {unit} of the gap remain"
+    words = [beyond if gap > 0.0 else "no more of the gap remains than the noise of the sensor"]
     for like in signature.get("resembles", [])[:1]:
         words.append(f"they resemble {effect_name(like['effect'])}")
     there = signature.get("stretch")

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -155,6 +156,33 @@ def test_displacements_are_compared_as_the_accelerations_that_they_hold(corner: 
     assert "suspension_deflection" in derived.measured
 
 
+@pytest.mark.parametrize(
+    ("name", "factor", "words"),
+    [
+        ("body_acceleration", 1.0 / 9.80665, "body_acceleration is 0.1 times what the displacements"),
+        ("body_acceleration", -1.0, "body_acceleration is -1 times what the displacements"),
+        ("wheel_acceleration", 9.80665, "wheel_acceleration is 9.8 times what the displacements"),
+        ("wheel_acceleration", 1.15, ""),
+        ("suspension_deflection", 0.3048, "suspension_deflection is 0.3 times what the displacements"),
+        ("suspension_deflection", 1.0, ""),
+    ],
+)
+def test_a_unit_that_contradicts_another_column_is_said(
+    corner: Twin, tmp_path: Path, name: str, factor: float, words: str
+) -> None:
+    """Encoders of 5 µm beside the accelerometers; a gain that is off by 15 % is no unit."""
+    record, rng = displaced(corner, 500.0, seconds=6.0), np.random.default_rng(4)
+    columns = {
+        k: v + (5e-6 * rng.standard_normal(v.size) if k.endswith("displacement") else 0.0)
+        for k, v in record.columns.items()
+    }
+    columns["suspension_deflection"] = columns["wheel_displacement"] - columns["body_displacement"]
+    columns[name] = factor * columns[name]
+    (run,) = observe_runs(corner, [written(replace(record, columns=columns), tmp_path / "run.csv")])
+    said = [w for w in run.warnings if "what the displacements" in w]
+    assert len(said) == bool(words) and all(w.startswith(words) for w in said)
+
+
 def test_the_floor_of_displacements_is_not_that_of_white_noise(corner: Twin, drops: RigRecord) -> None:
     """Encoders of 2 µm: twice differentiated, their noise lies at high frequencies, where the low-pass removes it."""
     rng, record = np.random.default_rng(1), displaced(corner, 500.0)
@@ -214,7 +242,10 @@ def test_a_force_of_the_other_sign_is_reported(corner: Twin, tmp_path: Path) -> 
     for sign, count in ((1.0, 0), (-1.0, 1)):
         columns = {"road_displacement": road, "actuator_force": sign * force, "body_acceleration": body}
         (run,) = observe_runs(corner, [written(RigRecord("run", t, columns), tmp_path / f"{count}.csv")])
-        assert sum("actuator_force acts the other way round" in w for w in run.warnings) == count
+        said = [w for w in run.warnings if "actuator_force acts the other way round" in w]
+        assert len(said) == count and all("sign: -1 for actuator_force" in w for w in said)
+        shares = [float(v) for w in said for v in re.findall(r"(-?\d+) %", w)]
+        assert not said or shares[0] > max(90.0, shares[1] + 10.0)
 
 
 def test_a_reference_is_no_witness_of_itself(corner: Twin, drops: RigRecord, tmp_path: Path) -> None:
