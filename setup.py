@@ -118,7 +118,19 @@ setup(
     },
     packages=find_packages(include=["suspension_twin", "suspension_twin.*"]),
     package_data={
-        "": ["py.typed", "*.html", "*.j2", "*.css", "*.js", "*.json", "*.yaml", "*.c", "*.h", "*.xml", "*.LICENSE"]
+        "": [
+            "py.typed",
+            "*.html",
+            "*.j2",
+            "*.css",
+            "*.js",
+            "*.json",
+            "*.yaml",
+            "*.c",
+            "*.h",
+            "*.xml",
+            "*.LICENSE",
+        ]
     },
     data_files=data_files(),
     entry_points={

@@ -29,7 +29,9 @@ SPEED, RATE = 15.0, 60.0
 
 
 def program(repository: Path) -> str:
-    (code,) = re.findall(r"```py\n(.*?)```", (repository / "docs" / "engines.md").read_text("utf-8"), re.DOTALL)
+    (code,) = re.findall(
+        r"```py\n(.*?)```", (repository / "docs" / "engines.md").read_text("utf-8"), re.DOTALL
+    )
     return code
 
 
@@ -50,7 +52,10 @@ def test_it_draws_the_car_where_it_is_in_every_frame(repository, tmp_path):
         node = rclpy.create_node("twin", context=context)
         out = node.create_publisher(PoseStamped, "twin/pose", 100)
         mirror = subprocess.Popen(
-            [sys.executable, "carla_mirror.py", str(twin)], cwd=tmp_path, env=environment, stderr=subprocess.PIPE
+            [sys.executable, "carla_mirror.py", str(twin)],
+            cwd=tmp_path,
+            env=environment,
+            stderr=subprocess.PIPE,
         )
         try:
             patience = time.monotonic() + 30.0

@@ -43,7 +43,9 @@ def test_the_car_is_drawn_where_it_is_and_not_where_it_was(rate, ahead):
     # a = v²/r = 7.5 m/s² over the time ahead and the half interval that the speeds are old
     most = 0.5 * 7.6 * ahead * (ahead + 1 / rate) + 1e-5
     assert np.linalg.norm(np.subtract(found.place, place)[:2]) < most
-    assert abs(found.place[2] - place[2]) < 0.03 * (2 * math.pi * 1.3) ** 2 * ahead * (ahead + 1 / rate) + 1e-5
+    assert (
+        abs(found.place[2] - place[2]) < 0.03 * (2 * math.pi * 1.3) ** 2 * ahead * (ahead + 1 / rate) + 1e-5
+    )
     assert (Rotation.from_quat(found.turn) * turn.inv()).magnitude() < 2.0 * ahead * (ahead + 1 / rate) + 1e-6
 
 

@@ -121,7 +121,9 @@ def test_it_moves_body_and_wheels(repository: Path, tmp_path: Path) -> None:
     built = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert built.returncode == 0, built.stderr + built.stdout
     stamps, places = (100.0, 100.02), ((12.5, -3.0, 0.4), (12.8, -3.01, 0.41))
-    turns = [Rotation.from_euler("ZYX", angles).as_quat() for angles in ((2.0, 0.1, -0.05), (2.01, 0.11, -0.05))]
+    turns = [
+        Rotation.from_euler("ZYX", angles).as_quat() for angles in ((2.0, 0.1, -0.05), (2.01, 0.11, -0.05))
+    ]
     poses, given = FramePoses(), []
     for pose in zip(stamps, places, turns, strict=True):
         poses.push(*pose)
@@ -134,6 +136,8 @@ def test_it_moves_body_and_wheels(repository: Path, tmp_path: Path) -> None:
         wanted = poses.at(stamps[-1] + ahead)
         position, quaternion = to_unity(wanted.place, wanted.turn)
         sign = np.sign(np.dot(quaternion, found[3:7]))  # the same turn either way
-        np.testing.assert_allclose(found[:7], [*position, *(sign * np.array(quaternion))], atol=5e-6)  # in single precision
+        np.testing.assert_allclose(
+            found[:7], [*position, *(sign * np.array(quaternion))], atol=5e-6
+        )  # in single precision
     # compressed by 50 mm, at rest, at rest, extended by 30 mm: the wheel goes up in the body, or down
     np.testing.assert_allclose(found[7:], [0.35, 0.3, 0.3, 0.27], atol=1e-6)
