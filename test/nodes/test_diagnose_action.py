@@ -16,8 +16,8 @@ from nodes_bench import Client, PlainPage, worst
 from stand_ins import cannot, five_generations, judge_until_stopped, judged
 
 from suspension_twin.diagnosis.request import DiagnosisProgress, DiagnosisResult
-from suspension_twin.nodes.calibrator import CalibratorNode
 from suspension_twin.errors import InputError
+from suspension_twin.nodes.calibrator import CalibratorNode
 from suspension_twin.nodes.jobs import diagnosis_job, run_diagnosis
 from suspension_twin.vehicle.twin import load_twin
 from suspension_twin_interfaces.action import Calibrate, Diagnose
