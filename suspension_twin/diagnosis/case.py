@@ -61,7 +61,7 @@ _PLANAR_ONLY = ObserveSettings(filter=FilterSpec(2, 1.6), satellites=True, satur
 _ON_ROAD = ObserveSettings(saturated=True)
 #: Error of a change that a model predicts, over its error about the sound vehicle at the same sample: a prior.
 _DOUBT = 0.5
-#: Seconds of compared driving below which nothing can be held out from the fit.
+#: Seconds of compared driving below which nothing can be held out from the fit: two blocks of time.
 SHORTEST = 8.0
 #: Receiver's standard deviation in m from which on a drive has its own slow position error.
 _INACCURATE = 0.1
@@ -241,7 +241,7 @@ def drive_problem(
     floors = [dict(d.noise_rms) for d in data.parts]
     noise = Whitener.designed(data.measured, np.full(len(data.channels), USUAL_SHARE), floors)
     likelihood = Likelihood(data, nuisances, noise, weight=effective_weight(noise), affine=True)
-    return Problem.of(twin, space or _space(twin), likelihood, simulation)
+    return Problem.of(twin, _space(twin) if space is None else space, likelihood, simulation)
 
 
 def _compared(case: Case) -> list[NDArray[np.intp]]:
@@ -336,14 +336,16 @@ def _repeated(case: Case, problem: Problem, x: Floats) -> Problem:
 
     A reference is no witness of itself: what is expected of it is what others of its program leave, or nothing. The
     discrepancy of a sound vehicle is known, so the vehicle is held as the references show it. The model reproduces
-    a change no better than the sound vehicle: half of its residual there is noise of the change, beside the scatter of
-    repeats.
+    a change no better than the sound vehicle: half of its residual there is noise of the change. Beside it stands the
+    scatter of repeats, which the references of one program show: one of n misses the mean of the others by
+    1 + 1 / (n - 1) times the variance of a run, a run after them misses their mean by 1 + 1 / n times that.
     """
     data, measured = problem.data, problem.measured
     missed = measured.values - problem.compared(x[:, None])[:, :, 0]
     ends = np.cumsum([0, *(r.size for r in data.rows)])
     quiet = [j for j, active in enumerate(data.active) if not active]
     expected: list[Floats | None] = []
+    scatter, again = np.zeros_like(missed), list[int]()
     for number, part in enumerate(data.parts):
         same = [j for j in quiet if j != number and repeats(part, data.parts[j])]
         off = [
@@ -351,13 +353,19 @@ def _repeated(case: Case, problem: Problem, x: Floats) -> Problem:
             for j in same
         ]
         expected.append(np.mean(off, axis=0) if off else None)
-    noise = Whitener.designed(measured, _DOUBT * shares(measured, missed, quiet), _floors(problem))
-    held = replace(case, twin=twin_of(problem, Fit(problem.hypothesis, x, 0.0)))
-    fresh = build(held, problem.simulation.stop, problem.space.keys[:1])
-    likelihood = replace(
-        fresh.likelihood, noise=noise, weight=effective_weight(noise), expected=tuple(expected)
-    )
-    return replace(fresh, likelihood=likelihood)
+        if off and number in quiet:
+            own, others = slice(ends[number], ends[number + 1]), expected[-1][data.rows[number]]
+            scatter[own] = np.sqrt(1.0 - (len(off) + 1) ** -2.0) * (missed[own] - others)
+            again.append(number)
+    share = _DOUBT * shares(measured, missed, quiet)
+    if again:
+        share = np.hypot(share, shares(measured, scatter, again))
+    noise = Whitener.designed(measured, share, _floors(problem))
+    twin = twin_of(problem, Fit(problem.hypothesis, x, 0.0))
+    wander = [0.0] * len(case.drives)
+    fresh = drive_problem(twin, Space(twin, ()), data, problem.nuisances.priors, wander, problem.simulation)
+    still = replace(fresh.likelihood, noise=noise, weight=effective_weight(noise), expected=tuple(expected))
+    return replace(fresh, likelihood=still).with_still_references()
 
 
 def _many(problem: Problem, x: Floats) -> Sequence[Floats]:

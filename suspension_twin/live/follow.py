@@ -152,11 +152,13 @@ class Follower:
         The twin; without a road it drives on a plane.
     settings : FollowSettings, optional
         Low-pass and live gap.
+    road : Road, optional
+        The road that the twin file names, where it has been read.
     """
 
-    def __init__(self, twin: Twin, settings: FollowSettings | None = None) -> None:
+    def __init__(self, twin: Twin, settings: FollowSettings | None = None, road: Road | None = None) -> None:
         self.twin = twin
-        self.road: Road = flat_road() if twin.road is None else road_of(twin)
+        self.road: Road = road or (flat_road() if twin.road is None else road_of(twin))
         self._live = live_twin(twin, self.road)
         # compiled now, not at the first samples
         first, _ = (self._live.step(t, PoseSample(*[0.0] * 8)) for t in (0.0, 0.01))

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from rclpy.action.server import ActionServer, CancelResponse, GoalResponse, ServerGoalHandle
-from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.task import Future
@@ -20,6 +19,7 @@ from rclpy.timer import Timer
 from suspension_twin.calibration.request import Progress
 from suspension_twin.errors import SuspensionTwinError
 from suspension_twin.files import for_peers, reading
+from suspension_twin.nodes.aside import TICK
 from suspension_twin.nodes.jobs import (
     DiagnosisStep,
     Job,
@@ -40,8 +40,6 @@ from suspension_twin_interfaces.action import Calibrate, Diagnose
 
 __all__ = ["CalibratorNode"]
 
-#: Period in s at which the worker's messages are read.
-_TICK = 0.02
 #: s that a goal waits at most until its client's reader of answers is known (tolerance: twenty times what Fast DDS
 #: waits for it by itself, 0.1 s).
 _FOUND = 2.0
@@ -143,8 +141,6 @@ class CalibratorNode(ManagedNode):
         self._turn: ServerGoalHandle | None = None
         self._waiting: deque[tuple[ServerGoalHandle, Future]] = deque()
         self._timer: Timer | None = None
-        #: A goal that waits for its client holds up nothing else of the node.
-        self._goals = ReentrantCallbackGroup()
         self._servers = [
             ActionServer(
                 self,
@@ -153,7 +149,7 @@ class CalibratorNode(ManagedNode):
                 partial(self._execute, action),
                 goal_callback=partial(self._on_goal, action),
                 cancel_callback=self._on_cancel,
-                callback_group=self._goals,
+                callback_group=self.aside.group,
             )
             for action in ACTIONS
         ]
@@ -199,19 +195,7 @@ class CalibratorNode(ManagedNode):
             hearing = self.get_subscriptions_info_by_topic(f"rr{service}Reply", no_mangle=True)
             return len(hearing) >= len(asking)
 
-        if found():
-            return
-        until, ready = time.monotonic() + _FOUND, Future(executor=self.executor)
-
-        def look() -> None:
-            if not ready.done() and (found() or time.monotonic() >= until):
-                ready.set_result(None)
-
-        timer = self.create_timer(_TICK, look, self._goals, Clock(clock_type=ClockType.STEADY_TIME))
-        try:
-            await ready
-        finally:
-            self.destroy_timer(timer)
+        await self.aside.until(found, _FOUND)
 
     def _on_cancel(self, goal: ServerGoalHandle) -> CancelResponse:
         running = self._running
@@ -259,20 +243,18 @@ class CalibratorNode(ManagedNode):
             goal.abort()
             return action.kind.Result(message=self._busy())
         try:
-            options = {name: self.values[name] for name in action.options}
-            with reading(action.name, "a goal"), for_peers(self.log.warning):
-                check_paths(goal.request, self.folders, self.values["twin"])
-                job = action.job_of(goal.request, self.values["twin"], self.values["threads"], **options)
-                self.folders.check(
-                    job.output
-                )  # beside a recording that is a folder itself, it may lie out of it
+            with reading(action.name, "a goal"), for_peers(self.own_log.warning):
+                job = await self.aside.do(lambda: self._job(action, goal.request))
         except SuspensionTwinError as error:
             self.note("rejected goals", WARN, f"{action.name}: {error}")
             goal.abort()
             return action.kind.Result(message=str(error))
+        if goal.is_cancel_requested:
+            goal.canceled()
+            return action.kind.Result(message="cancelled: nothing was written")
         worker = Worker(self.works[action.name], job)
         self._running = _Running(action, goal, worker, Future(executor=self.executor))
-        self._timer = self.create_timer(_TICK, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._timer = self.create_timer(TICK, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._feed_back(action, goal, action.step("reading", note="starting a worker process"))
         outcome = await self._running.finished
         if goal.is_cancel_requested:
@@ -286,6 +268,15 @@ class CalibratorNode(ManagedNode):
         self.health.values["state"] = "idle"
         return action.kind.Result(**outcome)
 
+    def _job(self, action: Action, goal: Calibrate.Goal | Diagnose.Goal) -> Job:
+        """The job of a goal, its paths checked and its twin read, which may take long."""
+        twin_file = self.values["twin"]
+        check_paths(goal, self.folders, twin_file)
+        options = {name: self.values[name] for name in action.options}
+        job = action.job_of(goal, twin_file, self.values["threads"], **options)
+        self.folders.check(job.output)  # beside a recording that is a folder itself, it may lie out of it
+        return job
+
     def _tick(self) -> None:
         running = self._running
         if running is None:
@@ -296,7 +287,8 @@ class CalibratorNode(ManagedNode):
             for _ in range(min(len(running.steps), 1 + len(running.steps) // 10)):
                 self._feed_back(running.action, running.goal, running.steps.popleft())
         except Exception as error:  # the client gets a result in any case
-            running.fail(f"{type(error).__name__}: {error}")
+            running.fail(f"unexpected error, {type(error).__name__}")
+            self.own_log.error(f"{running.action.name}: {type(error).__name__}: {error}")
             pending = False
         if running.outcome is not None and not pending:
             self._finish(running)
@@ -308,7 +300,9 @@ class CalibratorNode(ManagedNode):
             elif news.kind == "done":
                 running.outcome = news.content
             elif running.outcome is None:
-                running.fail(news.content)
+                running.fail(news.content.text)
+                if news.content.whole:
+                    self.own_log.warning(f"{running.action.name}: {news.content.whole}")
         if running.outcome is None and time.monotonic() >= running.give_up_at:
             running.steps.clear()
             late = "no result within cancel_patience" if running.action.has_partial else "nothing was written"

@@ -140,7 +140,11 @@ def test_the_bundled_drive_gives_the_inertia_and_intervals_around_what_was_found
     bag = repository / "bags" / "bump_15kmh"
     out = tmp_path / "calibrated.yaml"
     assert main(["calibrate", "--twin", str(bag / "twin.yaml"), str(bag), "--out", str(out)]) == 0
-    rows = {p["key"]: p for p in yaml.safe_load(details_path(out).read_text())["parameters"]}
+    details = yaml.safe_load(details_path(out).read_text())
+    assert (
+        details["explained_variance"]["held_out"] == "passes" and details["explained_variance"]["twin"] > 0.8
+    )
+    rows = {p["key"]: p for p in details["parameters"]}
     true = load_twin(bag / "truth.yaml").vehicle
     found = load_twin(out).vehicle
     assert found.sprung_inertia.pitch == pytest.approx(true.sprung_inertia.pitch, rel=0.05)

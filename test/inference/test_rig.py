@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from suspension_twin.diagnosis.case import baseline, build, read_case
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.drive.rig import RigRecord, read_rig, write_rig
 from suspension_twin.errors import InputError, WorkError
+from suspension_twin.inference.problem import whitener_of
 from suspension_twin.inference.runs import observe_rig, observe_runs, repeats, rig_run, simulate_rig
 from suspension_twin.models.parameters import pack
 from suspension_twin.models.registry import model_of
@@ -154,6 +156,33 @@ def test_displacements_are_compared_as_the_accelerations_that_they_hold(corner: 
     assert "suspension_deflection" in derived.measured
 
 
+@pytest.mark.parametrize(
+    ("name", "factor", "words"),
+    [
+        ("body_acceleration", 1.0 / 9.80665, "body_acceleration is 0.1 times what the displacements"),
+        ("body_acceleration", -1.0, "body_acceleration is -1 times what the displacements"),
+        ("wheel_acceleration", 9.80665, "wheel_acceleration is 9.8 times what the displacements"),
+        ("wheel_acceleration", 1.15, ""),
+        ("suspension_deflection", 0.3048, "suspension_deflection is 0.3 times what the displacements"),
+        ("suspension_deflection", 1.0, ""),
+    ],
+)
+def test_a_unit_that_contradicts_another_column_is_said(
+    corner: Twin, tmp_path: Path, name: str, factor: float, words: str
+) -> None:
+    """Encoders of 5 µm beside the accelerometers; a gain that is off by 15 % is no unit."""
+    record, rng = displaced(corner, 500.0, seconds=6.0), np.random.default_rng(4)
+    columns = {
+        k: v + (5e-6 * rng.standard_normal(v.size) if k.endswith("displacement") else 0.0)
+        for k, v in record.columns.items()
+    }
+    columns["suspension_deflection"] = columns["wheel_displacement"] - columns["body_displacement"]
+    columns[name] = factor * columns[name]
+    (run,) = observe_runs(corner, [written(replace(record, columns=columns), tmp_path / "run.csv")])
+    said = [w for w in run.warnings if "what the displacements" in w]
+    assert len(said) == bool(words) and all(w.startswith(words) for w in said)
+
+
 def test_the_floor_of_displacements_is_not_that_of_white_noise(corner: Twin, drops: RigRecord) -> None:
     """Encoders of 2 µm: twice differentiated, their noise lies at high frequencies, where the low-pass removes it."""
     rng, record = np.random.default_rng(1), displaced(corner, 500.0)
@@ -213,7 +242,10 @@ def test_a_force_of_the_other_sign_is_reported(corner: Twin, tmp_path: Path) -> 
     for sign, count in ((1.0, 0), (-1.0, 1)):
         columns = {"road_displacement": road, "actuator_force": sign * force, "body_acceleration": body}
         (run,) = observe_runs(corner, [written(RigRecord("run", t, columns), tmp_path / f"{count}.csv")])
-        assert sum("actuator_force acts the other way round" in w for w in run.warnings) == count
+        said = [w for w in run.warnings if "actuator_force acts the other way round" in w]
+        assert len(said) == count and all("sign: -1 for actuator_force" in w for w in said)
+        shares = [float(v) for w in said for v in re.findall(r"(-?\d+) %", w)]
+        assert not said or shares[0] > max(90.0, shares[1] + 10.0)
 
 
 def test_a_reference_is_no_witness_of_itself(corner: Twin, drops: RigRecord, tmp_path: Path) -> None:
@@ -227,6 +259,65 @@ def test_a_reference_is_no_witness_of_itself(corner: Twin, drops: RigRecord, tmp
         case = read_case(request, lambda note: None, lambda: False)
         problem, _, _ = baseline(case, build(case, lambda: False))
         assert [e is not None for e in problem.likelihood.expected] == expected
+
+
+def test_what_repeats_differ_by_is_noise_of_a_change(corner: Twin, tmp_path: Path) -> None:
+    """A rig that repeats to 7 % under a twin that misses nothing: the run after the references differs from them as
+    they do from each other, and what no unknown changes is simulated once."""
+    t = np.arange(0.0, 12.0, 0.005)
+
+    def smooth(seed: int, cutoff: float) -> np.ndarray:
+        sos = butter(2, cutoff, fs=200.0, output="sos")
+        found = sosfiltfilt(sos, np.random.default_rng(seed).standard_normal(t.size))
+        return np.asarray(found / np.std(found))
+
+    road = 0.01 * smooth(0, 8.0)
+    response = simulate_lanes(corner, pack(corner)[:, None], rig_run(t, road))
+    body = response.channel("body_acceleration")[:, 0]
+    noise = 0.002 * np.random.default_rng(9).standard_normal((3, t.size))
+    paths = [
+        written(
+            RigRecord(
+                "run",
+                t,
+                {
+                    "road_displacement": road,
+                    "body_acceleration": body + 0.07 * np.std(body) * smooth(1 + i, 20.0) + noise[i],
+                },
+            ),
+            tmp_path / f"{i}.csv",
+        )
+        for i in range(3)
+    ]
+    save_twin(corner, tmp_path / "twin.yaml")
+    request = DiagnosisRequest(str(tmp_path / "twin.yaml"), (paths[0],), tuple(paths[1:]))
+    case = read_case(request, lambda note: None, lambda: False)
+    problem, base, _ = baseline(case, build(case, lambda: False))
+    independent, shown = problem.measured.independent, whitener_of(problem).drive == 0
+    squares = base.at.residual[shown] ** 2 / independent
+    assert 0.3 < np.mean(squares) < 1.5
+    assert problem.d == 0 and problem.likelihood.still
+    moving = replace(problem, likelihood=replace(problem.likelihood, still=()))
+    unknowns = np.zeros((problem.shared, 2))
+    for one, other in zip(problem.signals(unknowns)[0], moving.signals(unknowns)[0], strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_one_set_of_transducers_has_one_noise(corner: Twin, tmp_path: Path) -> None:
+    """Motion counts as noise in a floor: the least of a rig's runs is theirs, that of a louder one as well."""
+    record = displaced(corner, 200.0, seconds=8.0)
+    shaken = record.columns["wheel_acceleration"] * 0.05 * np.sin(2 * np.pi * 60.0 * record.t)
+    loud = {**record.columns, "body_acceleration": record.columns["body_acceleration"] + shaken}
+    runs = observe_runs(
+        corner,
+        [
+            written(replace(record, columns=c), tmp_path / f"{i}.csv")
+            for i, c in enumerate((record.columns, loud))
+        ],
+    )
+    assert runs[0].noise_rms == runs[1].noise_rms
+    alone = observe_rig(record, ["body_acceleration"])
+    assert runs[1].noise_rms["body_acceleration"] <= alone.noise_rms["body_acceleration"]
 
 
 def test_a_bench_of_two_plates_is_calibrated_by_default(corner: Twin, tmp_path: Path) -> None:
