@@ -138,8 +138,8 @@ class CalibratorNode(ManagedNode):
         self.works: dict[str, Work] = {a.name: a.work for a in ACTIONS} | dict(works or {})
         self._running: _Running | None = None
         #: The goal whose turn it is, running or about to, and those that wait, with whether each gets its turn.
-        self._turn: ServerGoalHandle | None = None
-        self._waiting: deque[tuple[ServerGoalHandle, Future]] = deque()
+        self._turn: tuple[Action, ServerGoalHandle] | None = None
+        self._waiting: deque[tuple[Action, ServerGoalHandle, Future]] = deque()
         self._timer: Timer | None = None
         self._servers = [
             ActionServer(
@@ -169,11 +169,10 @@ class CalibratorNode(ManagedNode):
         super().destroy_node()
 
     def _busy(self) -> str:
-        if not self.active:
+        if not self.active or self._turn is None:
             return "the node is not active"
-        name = self._running.action.name if self._running else "an action"
         waiting = f" and {len(self._waiting)} wait" if self._waiting else ""
-        return f"a goal of {name} is running{waiting}: cancel it or wait for its result"
+        return f"a goal of {self._turn[0].name} is running{waiting}: cancel it or wait for its result"
 
     def _takes_another(self) -> bool:
         return self._turn is None or len(self._waiting) < self.values["waiting_goals"]
@@ -199,7 +198,7 @@ class CalibratorNode(ManagedNode):
 
     def _on_cancel(self, goal: ServerGoalHandle) -> CancelResponse:
         running = self._running
-        for waits, turn in self._waiting:
+        for _, waits, turn in self._waiting:
             if waits.goal_id == goal.goal_id and not turn.done():
                 turn.set_result(False)
         if running is not None and running.goal.goal_id == goal.goal_id:
@@ -214,13 +213,13 @@ class CalibratorNode(ManagedNode):
             return action.kind.Result(message=self._busy())
         if self._turn is not None:
             turn = Future(executor=self.executor)
-            self._waiting.append((goal, turn))
+            self._waiting.append((action, goal, turn))
             self._feed_back(action, goal, action.step("waiting"))
             if not await turn:
-                self._waiting = deque(entry for entry in self._waiting if entry[1] is not turn)
+                self._waiting = deque(entry for entry in self._waiting if entry[2] is not turn)
                 goal.canceled()
                 return action.kind.Result(message="cancelled while it waited")
-        self._turn = goal
+        self._turn = action, goal
         try:
             return await self._work(action, goal)
         finally:
@@ -230,9 +229,9 @@ class CalibratorNode(ManagedNode):
         """The turn of the goal that has waited longest and was not cancelled."""
         self._turn = None
         while self._waiting:
-            goal, turn = self._waiting.popleft()
+            action, goal, turn = self._waiting.popleft()
             if not turn.done():
-                self._turn = goal
+                self._turn = action, goal
                 turn.set_result(True)
                 if self.executor is not None:
                     self.executor.wake()
@@ -310,7 +309,7 @@ class CalibratorNode(ManagedNode):
 
     def _feed_back(self, action: Action, goal: ServerGoalHandle, step: Step) -> None:
         note = f" ({step.note})" if step.note else ""
-        if goal is self._turn:
+        if (action, goal) == self._turn:
             self.health.values["state"] = f"{step.stage}{note}, {action.describe(step)}"
         feedback = action.kind.Feedback()
         feedback.header.stamp = self.stamp_now()

@@ -106,10 +106,10 @@ def test_goals_wait_for_their_turn_where_the_node_says_so(bench, goal):
     second.cancel_goal_async()
     status, result = clients[1].result(second)
     assert status == GoalStatus.STATUS_CANCELED and result.message == "cancelled while it waited"
+    bench.until(lambda: any(f.stage == "search" for f in clients[0].feedback))
     node.works["calibrate"] = five_generations
     goal.overwrite = True
     fourth = clients[3].send(goal)  # in the place that has become free
-    bench.until(lambda: any(f.stage == "search" for f in clients[0].feedback))
     first.cancel_goal_async()
     assert clients[0].result(first)[0] == GoalStatus.STATUS_CANCELED
     status, result = clients[2].result(third)
