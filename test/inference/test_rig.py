@@ -25,7 +25,7 @@ from suspension_twin.inference.runs import observe_rig, observe_runs, repeats, r
 from suspension_twin.models.parameters import pack
 from suspension_twin.models.registry import model_of
 from suspension_twin.models.simulate import simulate_lanes, simulate_twin
-from suspension_twin.vehicle.twin import Twin, load_twin, save_twin
+from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin, save_twin
 
 
 @pytest.fixture(scope="module")
@@ -154,6 +154,35 @@ def test_displacements_are_compared_as_the_accelerations_that_they_hold(corner: 
     for name in ("body_acceleration", "wheel_acceleration"):
         assert np.std(read.measured[name] - derived.measured[name]) < 0.02 * np.std(read.measured[name])
     assert "suspension_deflection" in derived.measured
+
+
+@pytest.mark.parametrize("given", ["wheel_displacement", "wheel_acceleration"])
+def test_a_measured_wheel_drives_what_is_above_it(corner: Twin, tmp_path: Path, given: str) -> None:
+    """The same body as on the road that moved the wheel, whatever is below the suspension. What an accelerometer at the
+    wheel shows begins with a transient of its high-pass."""
+    record = displaced(corner, 400.0, seconds=8.0)
+    wheel = {
+        k: v for k, v in record.columns.items() if k in (given, "body_acceleration", "suspension_deflection")
+    }
+    deflection = record.columns["wheel_displacement"] - record.columns["body_displacement"]
+    run = replace(record, columns={**wheel, "suspension_deflection": deflection})
+    above = corner.with_changes({"excitation": "wheel", "vehicle.tyre.vertical_stiffness": 1e5})
+    path = written(run, tmp_path / "run.csv")
+    result = simulate_rig(read_rig(path), above)
+    assert list(result.measured) == ["body_acceleration", "suspension_deflection"]
+    for name, rms in result.gap.channels.items():
+        assert rms < (0.02 if given == "wheel_displacement" else 0.05) * np.std(result.measured[name]), name
+    soft = simulate_rig(run, above.with_changes({"vehicle.sprung_mass": 500.0})).gap.channels
+    assert soft["body_acceleration"] > 3.0 * result.gap.channels["body_acceleration"]
+    (observed,) = observe_runs(above, [path])
+    assert set(observed.measured) == set(result.measured)
+    with pytest.raises(InputError, match="run: has no road: the twin file has to say excitation: wheel"):
+        observe_runs(corner, [path])
+    stop = above.model_copy(
+        update={"effects": (EffectSpec(id="strut_friction", parameters={"front_force": 50.0}),)}
+    )
+    with pytest.raises(InputError, match="strut_friction does not act where the wheel's motion is given"):
+        simulate_rig(run, stop)
 
 
 @pytest.mark.parametrize(
