@@ -38,7 +38,7 @@ from suspension_twin.models.parts import has_part
 from suspension_twin.models.registry import Model
 from suspension_twin.models.sensor_chain import pass_chain
 from suspension_twin.models.simulate import LaneBlocks, Stretch, cores, full_response
-from suspension_twin.models.types import Excitation, LaneResponse, Response
+from suspension_twin.models.types import Excitation, LaneResponse, RepeatedRun, Response
 from suspension_twin.vehicle.corners import AXLES
 from suspension_twin.vehicle.quarter_car import on_wheel
 from suspension_twin.vehicle.twin import Twin
@@ -153,6 +153,10 @@ def _lanes(twin: Twin, params: Floats, excitation: Excitation, threads: int | No
         signals[begin:end, 7] = states[:, rows.WHEEL_ACCELERATION, :count]
         signals[begin:end, 8] = wheel - body - known.values[rows.STATIC]
         signals[begin:end, 9] = states[:, rows.CONTACT, :count]
+    if isinstance(run, RepeatedRun):
+        for name, missed in zip(run.channels, run.missed.T, strict=True):
+            at = [2, 6] if name == CHANNELS[0] else [6 + CHANNELS.index(name)]
+            signals[:, at] += missed[:, None, None]
     # the chain changes what the accelerometer on the body reads; the clock stamps all channels
     pass_chain(known, run, signals)
     failed = blocks.failed | ~np.isfinite(signals).all(axis=(0, 1))

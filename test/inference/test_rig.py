@@ -25,6 +25,7 @@ from suspension_twin.inference.runs import observe_rig, observe_runs, repeats, r
 from suspension_twin.models.parameters import pack
 from suspension_twin.models.registry import model_of
 from suspension_twin.models.simulate import simulate_lanes, simulate_twin
+from suspension_twin.models.types import RepeatedRun
 from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin, save_twin
 
 
@@ -287,7 +288,8 @@ def test_a_reference_is_no_witness_of_itself(corner: Twin, drops: RigRecord, tmp
         request = DiagnosisRequest(str(twin), (paths[0],), tuple(before))
         case = read_case(request, lambda note: None, lambda: False)
         problem, _, _ = baseline(case, build(case, lambda: False))
-        assert [e is not None for e in problem.likelihood.expected] == expected
+        assert [isinstance(p.excitation, RepeatedRun) for p in problem.data.parts] == expected
+        assert not any(e is not None for e in problem.likelihood.expected)
 
 
 def test_what_repeats_differ_by_is_noise_of_a_change(corner: Twin, tmp_path: Path) -> None:
