@@ -539,11 +539,8 @@ def observe(
     about = warning_of(twin.road.file) if known and twin.road is not None else None
     beside = found.off_road.sentence(float(signals.t[0]))
     noticed += [Finding("warn", "off_road", beside)] if beside else []
-    said = (
-        *drive.warnings,
-        *(f.text for f in told(noticed) if f.level != "ok"),
-        *((about,) if about else ()),
-    )
+    found_out = (f.text for f in told(noticed) if f.level != "ok")
+    said = tuple(dict.fromkeys((*drive.warnings, *found_out, *((about,) if about else ()))))
     # a place that was felt is that of one axle or of the other
     sigma = _position_sigma(drive) if len(drive.fix) else float(np.ptp(twin.vehicle.wheel_positions[:, 0]))
     return replace(found, warnings=said, grid=replace(found.grid, position_sigma=sigma))
