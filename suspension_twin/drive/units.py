@@ -202,7 +202,7 @@ def imu_in_si(
     rate = imu.angular_rate * (DEGREES if evidence else 1.0)
     if evidence:
         notes.append(f"gyroscope: rates in deg/s, taken times π/180: {evidence}")
-    elif (fastest := float(np.abs(rate).max())) > _FASTEST:
+    elif not warnings and (fastest := float(np.abs(rate).max())) > _FASTEST:
         warnings.append(f"angular rates up to {fastest:.0f} rad/s: are they in deg/s?")
     return replace(imu, specific_force=force, angular_rate=rate), warnings
 
