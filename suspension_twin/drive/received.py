@@ -57,8 +57,8 @@ _UNIT: Final = 1.08
 
 
 def velocity_fault(fix: FixData, velocity: VelocityData) -> str:
-    """What the ways between positions show to be wrong with the velocities, in words: their unit or direction. Empty
-    where they agree, and where too little is known."""
+    """Fault of the velocities by the ways between the positions, in words: their unit or direction. Empty where they
+    agree, and where too little is known."""
     good = fix.status >= 0
     t, order = np.unique(fix.t[good], return_index=True)
     own, first = np.unique(velocity.t, return_index=True)

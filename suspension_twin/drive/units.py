@@ -123,8 +123,8 @@ def _turning_of_gravity(windows: ImuWindows) -> tuple[float, float]:
 
 
 def turning_fault(windows: ImuWindows, velocity: VelocityData) -> str:
-    """What the course of the ``velocity`` or the turning of gravity shows to be wrong with the gyroscope, or with the
-    accelerometer beside it, in words; empty where they agree, and for rates in deg/s: see :func:`rates_in_degrees`."""
+    """Fault of the gyroscope, or of the accelerometer beside it, by the course of the ``velocity`` or the turning of
+    gravity, in words; empty where they agree, and for rates in deg/s: see :func:`rates_in_degrees`."""
     if windows.t.size < _FEWEST or rates_in_degrees(windows, velocity):
         return ""
     turns = _turning(windows, velocity)
@@ -197,12 +197,13 @@ def imu_in_si(
         )
     windows = windowed(imu.t, force, imu.angular_rate)
     evidence = rates_in_degrees(windows, velocity)
-    if velocity is not None and (fault := turning_fault(windows, velocity)):
-        warnings.append(fault)
+    fault = "" if velocity is None else turning_fault(windows, velocity)
     rate = imu.angular_rate * (DEGREES if evidence else 1.0)
     if evidence:
         notes.append(f"gyroscope: rates in deg/s, taken times π/180: {evidence}")
-    elif not warnings and (fastest := float(np.abs(rate).max())) > _FASTEST:
+    elif fault:
+        warnings.append(fault)
+    elif (fastest := float(np.abs(rate).max())) > _FASTEST:
         warnings.append(f"angular rates up to {fastest:.0f} rad/s: are they in deg/s?")
     return replace(imu, specific_force=force, angular_rate=rate), warnings
 
