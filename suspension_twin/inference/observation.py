@@ -12,7 +12,6 @@ import hashlib
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cached_property, lru_cache
-from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -543,14 +542,16 @@ def observe(
     about = warning_of(twin.road.file) if known and twin.road is not None else None
     beside = found.off_road.sentence(float(signals.t[0]))
     noticed += [Finding("warn", "off_road", beside)] if beside else []
-    said = (
-        *drive.warnings,
-        *(f.text for f in told(noticed) if f.level != "ok"),
-        *((about,) if about else ()),
+    said = dict.fromkeys(
+        (
+            *drive.warnings,
+            *(f.text for f in told(noticed) if f.level != "ok"),
+            *((about,) if about else ()),
+        )
     )
     # a place that was felt is that of one axle or of the other
     sigma = _position_sigma(drive) if len(drive.fix) else float(np.ptp(twin.vehicle.wheel_positions[:, 0]))
-    return replace(found, warnings=said, grid=replace(found.grid, position_sigma=sigma))
+    return replace(found, warnings=tuple(said), grid=replace(found.grid, position_sigma=sigma))
 
 
 def with_shown_errors(observation: Observation) -> Observation:
@@ -598,17 +599,12 @@ def road_of(twin: Twin) -> Road:
     """The road that the twin file names."""
     from suspension_twin.road import load_road
 
-    return load_road(road_file(twin))
-
-
-def road_file(twin: Twin) -> Path:
-    """The file of the road that the twin file names; InputError where there is none."""
     if twin.road is None:
         raise InputError("twin", "road", "is missing: name the road that was driven, road: {file: road.crg}")
     if not twin.road.file.exists():
         where = "it is looked for from the folder of the twin file, unless its path is absolute"
         raise InputError("twin", "road.file", f"there is no {twin.road.file}: {where}")
-    return twin.road.file
+    return load_road(twin.road.file)
 
 
 def renamed(observations: Sequence[Observation]) -> list[Observation]:
