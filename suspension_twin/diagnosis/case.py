@@ -356,10 +356,12 @@ def _repeated(case: Case, problem: Problem, x: Floats) -> Problem:
             np.stack([np.interp(part.t, data.parts[j].t, c) for c in missed[ends[j] : ends[j + 1]].T], axis=1)
             for j in same
         ]
-        expected.append(np.mean(off, axis=0) if off else None)
-        if off and number in quiet:
-            own, others = slice(ends[number], ends[number + 1]), expected[-1][data.rows[number]]
-            scatter[own] = np.sqrt(1.0 - (len(off) + 1) ** -2.0) * (missed[own] - others)
+        others = np.mean(off, axis=0) if off else None
+        expected.append(others)
+        if others is not None and number in quiet:
+            own = slice(ends[number], ends[number + 1])
+            scale = np.sqrt(1.0 - (len(off) + 1) ** -2.0)
+            scatter[own] = scale * (missed[own] - others[data.rows[number]])
             again.append(number)
     share = _DOUBT * shares(measured, missed, quiet)
     if again:
