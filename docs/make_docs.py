@@ -6,7 +6,7 @@
     python docs/make_docs.py pictures [NAME...]
 
 ``tables`` writes the generated parts, each between its marks: commands in commands.md, nodes, topics, services,
-actions and message definitions in interfaces.md, node parameters in parameters.md, effects in effects.md; of all these
+actions and message definitions in interfaces.md, effects in effects.md; of all these
 pages, or of those that are named: ``tables effects`` needs no ROS. A test says when one has fallen behind.
 ``pictures`` draws the pictures of this folder, or those that are named (demo, effects, damping, diagnosis, plan, rig);
 all of them take some minutes.
@@ -84,6 +84,8 @@ CARRIES = {
     "tf_static": (_BASE, "`imu_link` and `gps_link`"),
     "robot_description": ("", "URDF of the vehicle, with the joints of `joint_states`"),
 }
+#: Models of an effect that names none on its page.
+_USUAL_MODELS = ("full_car", "quarter_car")
 #: Titles of the sections of effects.md, by where an effect acts.
 WHERE = {
     "strut": "In the struts",
@@ -106,7 +108,6 @@ def parts() -> dict[Path, dict[str, Callable[[], str]]]:
             "calls": calls,
             "definitions": definitions,
         },
-        HERE / "parameters.md": {"parameters": parameters},
         HERE / "effects.md": {"effects": effects},
     }
 
@@ -265,44 +266,6 @@ def definitions() -> str:
     return text
 
 
-def parameters() -> str:
-    """The parameters of the nodes; one that several nodes declare alike is listed once."""
-    from suspension_twin.nodes.base import COMMON
-
-    nodes: dict[Any, list[str]] = {}
-    for name, kind in _node_classes().items():
-        for p in (*kind.common, *kind.parameters):
-            nodes.setdefault(_described(p), []).append(name)
-    common = [_described(p) for p in COMMON]
-    sections: dict[str, list[str]] = {"Every node": [], "Several nodes": []}
-    for line, names in nodes.items():
-        if line in common or len(names) == len(_node_classes()):
-            sections["Every node"].append(line)
-        elif len(names) > 1:
-            sections["Several nodes"].append(f"{line} ({', '.join(f'`{name}`' for name in names)})")
-        else:
-            sections.setdefault(f"`{names[0]}`", []).append(line)
-    return (
-        "".join(
-            f"\n## {title}\n\n" + "".join(f"- {line}\n" for line in lines)
-            for title, lines in sections.items()
-        )
-        + "\n"
-    )
-
-
-def _described(p: Any) -> str:
-    """Name, default, range and meaning of a node's parameter."""
-    bounds = f", [{p.low:g}, {p.high:g}]" if p.low is not None else ", fixed" if p.read_only else ""
-    return f"`{p.name}` {_default(p.default)}{bounds}: {p.text}"
-
-
-def _default(value: Any) -> str:
-    if isinstance(value, bool):
-        return f"`{str(value).lower()}`"
-    return "`''`" if value == "" else f"`{value}`"
-
-
 # -- effects -------------------------------------------------------------------------------------
 
 
@@ -321,10 +284,12 @@ def _effect(e: Any) -> str:
     from suspension_twin.diagnosis.library import DECOYS
 
     decoy = " A [decoy hypothesis](diagnosis.md#decoy-hypotheses)." if e.id in DECOYS else ""
+    title = "" if e.title.replace("-", " ") == e.id.replace("_", " ") else f": {e.title}"
+    models = "" if e.models == _USUAL_MODELS else f" Models: {', '.join(f'`{m}`' for m in e.models)}."
     return (
-        f"\n### `{e.id}`: {e.title}\n\n{e.doc}\n\n{''.join(_lines(e))}\n"
-        f"Excited by: {'; '.join(e.excited_by)}. Confused with: {'; '.join(e.confused_with)}. "
-        f"Models: {', '.join(f'`{m}`' for m in e.models)}.{_common(e)}{decoy}{_variants(e)}\n"
+        f"\n### `{e.id}`{title}\n\n{e.doc}\n\n{''.join(_lines(e))}\n"
+        f"Excited by: {'; '.join(e.excited_by)}. Confused with: {'; '.join(e.confused_with)}."
+        f"{models}{_common(e)}{decoy}{_variants(e)}\n"
     )
 
 

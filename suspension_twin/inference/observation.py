@@ -451,6 +451,10 @@ class Observation:
         moved = Trajectory(path.t, x, y, yaw, velocity, turn, acceleration, path.valid)
         return _observed(replace(source, trajectory=moved), self)
 
+    def on(self, road: Road) -> Observation:
+        """The same drive on another road."""
+        return _observed(replace(self.source, road=road), self)
+
     def displaced(self, t: Floats, ahead: Floats, left: Floats | None = None) -> Observation:
         """The same drive with its path ``ahead`` along the vehicle's course and to the ``left`` by these (k,) m at the
         times ``t`` (k,) s: linear between them, constant beyond."""

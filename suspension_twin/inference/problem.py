@@ -36,6 +36,7 @@ from suspension_twin.models.parameters import lanes
 from suspension_twin.models.simulate import simulate_lanes
 from suspension_twin.models.tracked import ObstacleRun
 from suspension_twin.models.types import Excitation
+from suspension_twin.road.recipe import Taped
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = [
@@ -122,10 +123,13 @@ class Data:
             first.bandwidth,
         )
 
-    def nuisances(self, priors: NuisancePriors, wander: Sequence[float] | None = None) -> Nuisances:
-        """The nuisance parameters; ``wander`` (m) is each drive's own position error, 0 for none."""
+    def nuisances(
+        self, priors: NuisancePriors, wander: Sequence[float] | None = None, taped: Taped | None = None
+    ) -> Nuisances:
+        """The nuisance parameters; ``wander`` (m) is each drive's own position error, 0 for none; ``taped``: features
+        of the road that were measured by tape."""
         none = [0.0] * (max(self.drive_of) + 1)
-        return Nuisances(self.parts, self.drive_of, self.channels, priors, wander or none)
+        return Nuisances(self.parts, self.drive_of, self.channels, priors, wander or none, taped)
 
 
 class Noise(Protocol):
@@ -499,6 +503,25 @@ class Problem:
             stacked, _ = self._simulated(twin, candidates, flat)
             responses.append(part.grid.apply(stacked)[:, :, 0])
         nuisances = self.nuisances.with_planar_response(responses)
+        return replace(self, likelihood=replace(self.likelihood, nuisances=nuisances))
+
+    def with_tape_response(self, x: Floats) -> Problem:
+        """The same with what the errors of the tape add to the signals of the vehicle at ``x`` (p,), by simulation on
+        roads with each error's standard deviation."""
+        taped = self.nuisances.taped
+        if taped is None:
+            return self
+        twin = self.space.simulated(self.twin)
+        keys, values = self.space.simulated_keys, self.space.simulated_values(x[: self.d, None])
+        candidates = lanes(twin, keys, values.T)
+        sigma = np.array([s for _, s in taped.errors])
+        responses = []
+        for part in self.data.parts:
+            changed = (taped.changed(part.road, row) for row in np.diag(sigma))
+            driven = [part.excitation, *(part.on(road).excitation for road in changed)]
+            signals = [part.grid.apply(self._simulated(twin, candidates, e)[0])[:, :, 0] for e in driven]
+            responses.append(np.stack([s - signals[0] for s in signals[1:]], axis=2) / sigma)
+        nuisances = self.nuisances.with_tape_response(responses)
         return replace(self, likelihood=replace(self.likelihood, nuisances=nuisances))
 
     def batches(self, lane_count: int) -> list[slice]:

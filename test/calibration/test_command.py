@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -157,3 +158,16 @@ def test_the_bundled_drive_gives_the_inertia_and_intervals_around_what_was_found
     assert len(inner) > 30
     place = [(p["value"] - p["interval_90"][0]) / np.ptp(p["interval_90"]) for p in inner]
     assert min(place) > 0.02 and max(place) < 0.98
+
+
+def test_what_is_written_is_said_once_the_input_is_known_to_be_usable(
+    repository: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    twin = repository / "bags" / "bump_15kmh" / "twin.yaml"
+    bare = tmp_path / "bare.yaml"
+    bare.write_text(re.sub(r"(?m)^road:.*$", "", twin.read_text(encoding="utf-8")), encoding="utf-8")
+    for given, bag in ((twin, tmp_path / "nothing"), (bare, repository / "bags" / "bump_15kmh")):
+        for command in ("calibrate", "diagnose"):
+            out = tmp_path / f"{command}.yaml"
+            assert main([command, "--twin", str(given), str(bag), "--out", str(out)]) in (1, 2)
+            assert capsys.readouterr().out == "", command

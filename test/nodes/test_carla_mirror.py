@@ -29,10 +29,7 @@ SPEED, RATE = 15.0, 60.0
 
 
 def program(repository: Path) -> str:
-    (code,) = re.findall(
-        r"```py\n(.*?)```", (repository / "docs" / "engines.md").read_text("utf-8"), re.DOTALL
-    )
-    return code
+    return (repository / "config" / "engines" / "carla_mirror.py").read_text("utf-8")
 
 
 def place_and_turn(t: float) -> tuple[list[float], Rotation]:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -113,9 +112,7 @@ static class Scene {
 
 
 def test_it_moves_body_and_wheels(repository: Path, tmp_path: Path) -> None:
-    page = (repository / "docs" / "engines.md").read_text(encoding="utf-8")
-    (script,) = re.findall(r"```csharp\n(.*?)```", page, re.DOTALL)
-    (tmp_path / "SuspensionTwin.cs").write_text(script, encoding="utf-8")
+    shutil.copy(repository / "config" / "engines" / "SuspensionTwin.cs", tmp_path)
     (tmp_path / "StandIns.cs").write_text(STAND_INS, encoding="utf-8")
     command = [str(MCS), "-out:scene.exe", "SuspensionTwin.cs", "StandIns.cs"]
     built = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
