@@ -46,8 +46,9 @@ from suspension_twin.inference.runs import observe_runs, repeats
 from suspension_twin.inference.sensor_correction import Turn
 from suspension_twin.inference.smooth_space import smooth_space
 from suspension_twin.inference.space import Space
+from suspension_twin.models.constants import Conditions, outside
 from suspension_twin.models.excitation import coarser
-from suspension_twin.models.parameters import has_number, twin_value
+from suspension_twin.models.parameters import has_number, layout, pack, twin_value
 from suspension_twin.models.registry import model_of
 from suspension_twin.models.types import Excitation, RepeatedRun
 from suspension_twin.road import flat_road
@@ -356,10 +357,12 @@ def _repeated(case: Case, problem: Problem, x: Floats) -> Problem:
             np.stack([np.interp(part.t, data.parts[j].t, c) for c in missed[ends[j] : ends[j + 1]].T], axis=1)
             for j in same
         ]
-        expected.append(np.mean(off, axis=0) if off else None)
-        if off and number in quiet:
-            own, others = slice(ends[number], ends[number + 1]), expected[-1][data.rows[number]]
-            scatter[own] = np.sqrt(1.0 - (len(off) + 1) ** -2.0) * (missed[own] - others)
+        others = np.mean(off, axis=0) if off else None
+        expected.append(others)
+        if others is not None and number in quiet:
+            own = slice(ends[number], ends[number + 1])
+            scale = np.sqrt(1.0 - (len(off) + 1) ** -2.0)
+            scatter[own] = scale * (missed[own] - others[data.rows[number]])
             again.append(number)
     share = _DOUBT * shares(measured, missed, quiet)
     if again:
@@ -367,7 +370,7 @@ def _repeated(case: Case, problem: Problem, x: Floats) -> Problem:
     noise = Whitener.designed(measured, share, _floors(problem))
     twin = twin_of(problem, Fit(problem.hypothesis, x, 0.0))
     wander = [0.0] * len(case.drives)
-    before = [_run_before(p, e, data.channels) for p, e in zip(data.parts, expected, strict=True)]
+    before = [_run_before(twin, p, e, data.channels) for p, e in zip(data.parts, expected, strict=True)]
     expected = [e if p is b else None for p, b, e in zip(data.parts, before, expected, strict=True)]
     data = replace(data, parts=tuple(before))
     fresh = drive_problem(twin, Space(twin, ()), data, problem.nuisances.priors, wander, problem.simulation)
@@ -375,17 +378,21 @@ def _repeated(case: Case, problem: Problem, x: Floats) -> Problem:
     return replace(fresh, likelihood=still).with_still_references()
 
 
-def _run_before(part: Observation, expected: Floats | None, channels: Sequence[str]) -> Observation:
-    """A run on a rig with the discrepancy ``expected`` (m, C) in its excitation, as it was before the low-pass of the
-    comparison: found by repeated correction (van Cittert 1931). Other runs as they are."""
+def _run_before(
+    twin: Twin, part: Observation, expected: Floats | None, channels: Sequence[str]
+) -> Observation:
+    """A run on a rig with the discrepancy ``expected`` (m, C) in its excitation, as it was before the clock of the twin
+    and the low-pass of the comparison: found by repeated correction (van Cittert 1931). Other runs as they are."""
     driven = part.excitation
     if expected is None or not isinstance(driven, Excitation):
         return part
-    stamps = driven.t - driven.t[0]
+    clock = outside(pack(twin)[:, None], layout(twin), Conditions.of(driven)).clock
+    stamps, late = driven.t - driven.t[0], 0.0 if clock is None else float(clock.delay[0])
     raw = np.zeros((stamps.size, len(channels)))
     for _ in range(_CORRECTIONS):
-        left = expected - part.grid.apply(raw)
-        raw += np.stack([np.interp(stamps, part.t, column) for column in left.T], axis=1)
+        read = np.stack([np.interp(stamps - late, stamps, column) for column in raw.T], axis=1)
+        left = expected - part.grid.apply(read)
+        raw += np.stack([np.interp(stamps + late, part.t, column) for column in left.T], axis=1)
     return replace(part, excitation=RepeatedRun(**vars(driven), channels=tuple(channels), missed=raw))
 
 
