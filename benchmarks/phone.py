@@ -183,17 +183,15 @@ def errors_of(found: CalibrationResult, truth: Twin) -> tuple[float, float, floa
             at = curve.band.x
             here = (at >= max(low, 0.02)) & (at <= high)
             wanted, band = np.interp(at, x, force), curve.band
-            forces += (
-                [float(np.mean(np.abs(curve.force / np.maximum(wanted, 1.0) - 1.0)[here]))]
-                if here.any()
-                else []
-            )
+            off = np.abs(curve.force / np.maximum(wanted, 1.0) - 1.0)[here]
+            forces += [float(np.mean(off))] if here.any() else []
         else:  # counted from where both bear the standing car
             band = curve.from_rest
             load = float(np.interp(curve.static, curve.band.x, curve.force))
             at, here = band.x + float(np.interp(load, force, x)), np.ones(band.x.size, dtype=np.bool_)
             wanted = np.interp(at, x, force)
-            own, true = (float(f[-1] - f[0]) for f in (0.5 * (band.low + band.high), wanted))
+            here_force = np.interp(band.x + curve.static, curve.band.x, curve.force)
+            own, true = (float(f[-1] - f[0]) for f in (here_force, wanted))
             rates.append(abs(own / true - 1.0))
         if here.any():
             inside.append(float(np.mean(((wanted >= band.low) & (wanted <= band.high))[here])))
