@@ -232,7 +232,7 @@ def settings() -> Iterator[Setting]:
             yield Setting(factor, f"{value:g} {unit}".strip(), replace(usual, **{name: value}))
     for passes in (1, 2, 6):
         yield Setting("passes", str(passes), passes=passes)
-    for height in (0.0, -0.005, 0.005, 0.01):
+    for height in (-0.005, 0.0, 0.005, 0.01):
         yield Setting("tape, height wrong by", f"{1e3 * height:+g} mm", height=height, taped=True)
     for height in (-0.005, 0.005):
         yield Setting("surveyed, height wrong by", f"{1e3 * height:+g} mm", height=height)
@@ -307,14 +307,15 @@ def draw(rows: Sequence[Row], path: Path) -> None:
 
     factors = [f for f in dict.fromkeys(str(r["factor"]) for r in rows) if f != "as it is"]
     figure = Figure(figsize=(11.0, 6.0), layout="constrained")
-    for ax, factor in zip(
-        figure.subplots(2, -(-len(factors) // 2), sharey=True, squeeze=False).ravel(), factors, strict=False
-    ):
+    axes = figure.subplots(2, -(-len(factors) // 2), sharey=True, squeeze=False).ravel()
+    for ax, factor in zip(axes, factors, strict=False):
         own = [r for r in rows if r["factor"] == factor]
         ax.plot([str(r["value"]) for r in own], [r["gap"] for r in own], "o-", color="C0")
         ax.plot([str(r["value"]) for r in own], [r["worst"] for r in own], "_", color="C0")
         ax.axhline(float(rows[0]["gap"]), color="0.6", linewidth=1.0)
         ax.set_title(factor, fontsize=10)
+    for ax in axes[len(factors) :]:
+        ax.set_visible(False)
     figure.supylabel("gap on an unseen drive over that with RTK")
     figure.savefig(path, dpi=110)
 
