@@ -15,7 +15,16 @@ from difflib import get_close_matches
 from os import PathLike, fspath
 from typing import Final
 
-__all__ = ["InputError", "SuspensionTwinError", "WorkError", "nearest", "one_line", "printable", "shown"]
+__all__ = [
+    "InputError",
+    "SuspensionTwinError",
+    "WorkError",
+    "nearest",
+    "one_line",
+    "printable",
+    "shorter",
+    "shown",
+]
 
 #: Characters of a line of error text; whatever a file holds, a message stays readable.
 _LONGEST: Final = 2000
@@ -37,12 +46,17 @@ def one_line(text: str) -> str:
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 500]} … {text[-500:]}"
 
 
+def shorter(text: str, most: int) -> str:
+    """``text`` printable, in at most ``most`` characters."""
+    text = printable(text[: most + 1])
+    return text if len(text) <= most else f"{text[: most - 1]}…"
+
+
 def shown(value: object, most: int = 80) -> str:
     """``repr(value)`` in at most ``most`` characters, of nested values the first few: to quote in an error."""
     short = reprlib.Repr()
     short.maxstring = short.maxother = short.maxlong = most
-    text = printable(short.repr(value))
-    return text if len(text) <= most else f"{text[: most - 1]}…"
+    return shorter(short.repr(value), most)
 
 
 class SuspensionTwinError(Exception):

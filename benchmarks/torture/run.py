@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tortures: bad files and messages, kills, full disks, wrong clocks, load, parameters at their ends, cancelled goals,
-strangers at the page, costly files, floods, paths in goals.
+strangers at the page, costly files, floods, paths in goals, senders of nonsense.
 
 Each row goes on where the last run ended (``benchmarks/results/torture.json``); trial n of a row is the same on every
 machine. ``--minutes`` are for all rows asked for together. Exit status 1 if a trial of this run failed.
@@ -41,6 +41,7 @@ ROWS = {
     "budget": ("trust", "budget"),
     "flood": ("trust", "flood"),
     "peer": ("trust", "peer"),
+    "sender": ("senders", "torture"),
 }
 
 

@@ -201,10 +201,8 @@ def _costly(rng: np.random.Generator, folder: Path) -> tuple[str, list[str]]:
         make = {"v5.mat": _mat5, "profile.csv": _profile, "road.xodr": _xodr, "Accelerometer.csv": _log}
         path.write_bytes(make[kind](rng))
     out = str(folder / "out.crg")
-    if kind == "profile.csv":
+    if kind in ("profile.csv", "road.xodr"):
         return kind, ["road", "profile", str(path), "--out", out]
-    if kind == "road.xodr":
-        return kind, ["road", "xodr", str(path), "--out", out]
     return kind, ["import", str(path), "--out", str(folder / "out.mcap")]
 
 

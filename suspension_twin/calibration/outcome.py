@@ -37,6 +37,9 @@ __all__ = ["conclude", "unfinished"]
 
 _DIGITS = 7
 LATENCY = "imu.latency"
+_ONE_PASS = (
+    "one pass over what excites: nothing can be held out, how well the twin predicts another is not known"
+)
 
 
 def unfinished(request: CalibrationRequest, twin: Twin, seconds: float) -> CalibrationResult:
@@ -113,6 +116,7 @@ def conclude(recorder: Recorder, outcome: SearchOutcome, start: float, began: fl
             *_late(setup, values, found),
             *_remarks(drives, setup, values),
             *_absorbed(found),
+            *([_ONE_PASS] if found is not None and not stopped and measure is None else []),
         ),
     )
 

@@ -99,7 +99,10 @@ def mesh(
     ] = 0.0,
     up: Annotated[
         Up,
-        typer.Option(help="z: x east, y north, z up. y: x west, y up, z north, which Unity reads as x east."),
+        typer.Option(
+            help="z: x east, y north, z up. y: x north, y up, z east; Unity mirrors x when it reads the file, "
+            "and the road lies where the twin's poses do."
+        ),
     ] = Up.z,
     origin: Annotated[
         Origin,

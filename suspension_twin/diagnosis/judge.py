@@ -53,7 +53,7 @@ __all__ = [
 
 #: Share of the gain of the first lead that the second needs, and number of leads.
 _LEAD_SHARE, _LEADS = 0.25, 2
-_MOST_EFFECTS = 3
+_MOST_EFFECTS = 3  # of a set
 #: Nats that decide between two hypotheses, odds of 20 to 1: that one more effect has to add for the search to go on.
 ADDED = 3.0
 #: Lower limit of the share of the remaining residual that is noise.

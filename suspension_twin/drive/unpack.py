@@ -37,6 +37,9 @@ _RATIO: Final = 32
 #: s of processor time for any file and for each byte of it (tolerance, by hand: the slowest reader, that of nested
 #: MATLAB structs, takes 2 MB/s).
 _SECONDS, _SECONDS_PER_BYTE = 5.0, 2e-6
+#: Times the processor time that the reader may take by the clock (tolerance, by hand: it starts within 2 s, and as many
+#: readers share a core).
+_PATIENCE: Final = 6.0
 #: Address space that a reader in a process of its own takes for each byte of the budget: its input and two copies.
 _COPIES: Final = 3
 #: Bytes fed at a time. They make 32 MiB at most (zstd: blocks of 4 bytes for 128 KiB), and a decompressor that fails
@@ -95,14 +98,19 @@ def within_limits(
     where it takes too much.
     """
     asked = pickle.dumps((function, arguments, budget, kind, module))
-    done = subprocess.run(
-        [sys.executable, "-I", "-c", _CHILD, json.dumps(sys.path)],
-        input=asked,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
-        check=False,
-    )
+    too_long = f"is not {kind} that can be read in {budget.seconds:.0f} s: damaged, or too large"
+    try:
+        done = subprocess.run(
+            [sys.executable, "-I", "-c", _CHILD, json.dumps(sys.path)],
+            input=asked,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+            check=False,
+            timeout=_PATIENCE * budget.seconds,
+        )
+    except subprocess.TimeoutExpired:  # it waits for its disk
+        raise InputError(budget.source, too_long) from None
     if done.returncode == 0:
         found, error = pickle.loads(done.stdout)
         if error is not None:
@@ -110,8 +118,7 @@ def within_limits(
         result: Found = found
         return result
     if done.returncode in (-getattr(signal, "SIGXCPU", 0), -getattr(signal, "SIGKILL", 0)):
-        words = f"is not {kind} that can be read in {budget.seconds:.0f} s: damaged, or too large"
-        raise InputError(budget.source, words)
+        raise InputError(budget.source, too_long)
     raise InputError(budget.source, f"is not {kind} that can be read: its reader failed")
 
 

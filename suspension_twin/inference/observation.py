@@ -12,6 +12,7 @@ import hashlib
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cached_property, lru_cache
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -611,12 +612,17 @@ def road_of(twin: Twin) -> Road:
     """The road that the twin file names."""
     from suspension_twin.road import load_road
 
+    return load_road(road_file(twin))
+
+
+def road_file(twin: Twin) -> Path:
+    """The file of the road that the twin file names; InputError where there is none."""
     if twin.road is None:
         raise InputError("twin", "road", "is missing: name the road that was driven, road: {file: road.crg}")
     if not twin.road.file.exists():
         where = "it is looked for from the folder of the twin file, unless its path is absolute"
         raise InputError("twin", "road.file", f"there is no {twin.road.file}: {where}")
-    return load_road(twin.road.file)
+    return twin.road.file
 
 
 def renamed(observations: Sequence[Observation]) -> list[Observation]:

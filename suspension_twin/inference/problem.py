@@ -146,7 +146,7 @@ class Likelihood:
     ``weight`` (R,) multiplies the residuals: the root of the effective sample size per sample, 0 for those that do not
     count; none where None. ``expected`` (m, C) is the discrepancy found on a reference run with the same excitation.
     With ``affine`` the residuals are affine in the readings, so that the columns of additive nuisance parameters are
-    constant.
+    constant. ``still`` (m, C, 1) are the signals of reference runs that no unknown changes.
     """
 
     data: Data
@@ -155,6 +155,7 @@ class Likelihood:
     weight: Floats | None = None
     expected: tuple[Floats | None, ...] = ()
     affine: bool = False
+    still: tuple[Floats, ...] = ()
 
     def compared(self, signals: Sequence[Floats], nuisance: Floats) -> Floats:
         """(M, C, L) simulated sensor readings for signals (m, C, L) of every part and nuisances (q, L), plus the
@@ -418,6 +419,8 @@ class Problem:
                     twin, lanes(twin, (*space.simulated_keys, *keys), own.T), excitation
                 )
             else:
+                if self.likelihood.still and not before.effects:
+                    return [self.likelihood.still[number] for number in numbers], np.zeros(1, dtype=bool)
                 stacked, bad = self._simulated(reference_twin, reference, excitation)
             return [self._conditioned(data.parts[number], stacked) for number in numbers], bad
 
@@ -471,6 +474,16 @@ class Problem:
                 for half in (candidates[:, :middle], candidates[:, middle:])
             ]
             return np.concatenate([h[0] for h in halves], axis=2), np.concatenate([h[1] for h in halves])
+
+    def with_still_references(self) -> Problem:
+        """The same for a vehicle without unknowns: without a pre-existing effect its references are simulated once."""
+        signals, _ = self.signals(np.zeros((self.shared, 1)))
+        return replace(self, likelihood=replace(self.likelihood, still=tuple(signals)))
+
+    def with_twin(self, twin: Twin) -> Problem:
+        """The same with another twin."""
+        other = replace(self, twin=twin, likelihood=replace(self.likelihood, still=()))
+        return other.with_still_references() if self.likelihood.still else other
 
     def with_planar_response(self, x: Floats) -> Problem:
         """The same with the response of the vehicle at ``x`` (p,) to the planar motion alone, on a flat road.

@@ -299,10 +299,10 @@ class FeltPosition:
     roads on which nothing is felt.
     """
 
-    def __init__(self, twin: Twin, settings: FeltSettings) -> None:
+    def __init__(self, twin: Twin, settings: FeltSettings, road: Road | None = None) -> None:
         self.settings = settings
         self._twin = twin
-        self._road: Road | None = None
+        self._road = road
         self._matching: _Matching | None = None
         self._lateness = ReceiverLateness()
         self.reset()
@@ -438,8 +438,9 @@ def _is_broken(rows: Floats) -> bool:
     return bool(((dt <= 0.0) | (dt > MAX_GAP) | (far > _JUMP + 1.5 * np.abs(rows[1:, 4]) * dt)).any())
 
 
-def felt_stage(twin: Twin | None, settings: FeltSettings) -> FeltPosition | None:
-    """The felt place of a twin; None where there is no road to feel, or no lanes of its model."""
+def felt_stage(twin: Twin | None, settings: FeltSettings, road: Road | None = None) -> FeltPosition | None:
+    """The felt place of a twin; None where there is no road to feel, or no lanes of its model. Its ``road`` is read
+    where it is needed, unless it is given."""
     if twin is None or twin.road is None or twin.model not in load_hook(_SHIFT).models:
         return None
-    return FeltPosition(twin, settings)
+    return FeltPosition(twin, settings, road)

@@ -17,20 +17,28 @@ from typing import Any
 
 from builtin_interfaces.msg import Time as TimeMessage
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.clock import Clock, JumpThreshold, TimeJump
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.impl.rcutils_logger import RcutilsLogger
+from rclpy.logging import get_logger
 from rclpy.node import Node
+from rclpy.parameter_service import ParameterService
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.service import Service
 from rclpy.subscription import Subscription
 
-from suspension_twin.files import Folders
+from suspension_twin.errors import InputError
+from suspension_twin.files import Folders, for_peers, reading
 from suspension_twin.live.twin import DigitalTwin
-from suspension_twin.nodes.parameters import Param, ParameterSet, Values
+from suspension_twin.nodes.aside import Aside
+from suspension_twin.nodes.parameters import TWIN, NamedTwin, Param, ParameterSet, Values, read_named
 from suspension_twin.nodes.process import run_alone
 from suspension_twin.nodes.topics import (
     ERROR,
@@ -164,6 +172,35 @@ def _status(
     )
 
 
+class _ParameterServices(ParameterService):  # type: ignore[misc]
+    """The services of rclpy; a twin that they name is read beside the node, and then set."""
+
+    async def _set(self, parameters: list[ParameterMessage]) -> SetParametersResult:
+        node: TwinNode = self._get_node()  # type: ignore[no-untyped-call]
+        try:
+            for given in parameters:
+                if given.name == TWIN.name and TWIN.name in node.values and given.value.string_value:
+                    await node.read_named(given.value.string_value)
+        except InputError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        request = SetParametersAtomically.Request(parameters=parameters)
+        answer = SetParametersAtomically.Response()
+        super()._set_parameters_atomically_callback(request, answer)  # type: ignore[no-untyped-call]
+        return answer.result
+
+    async def _set_parameters_callback(
+        self, request: SetParameters.Request, response: SetParameters.Response
+    ) -> SetParameters.Response:
+        response.results = [await self._set([given]) for given in request.parameters]
+        return response
+
+    async def _set_parameters_atomically_callback(
+        self, request: SetParametersAtomically.Request, response: SetParametersAtomically.Response
+    ) -> SetParametersAtomically.Response:
+        response.result = await self._set(list(request.parameters))
+        return response
+
+
 class TwinNode(Node):  # type: ignore[misc]
     """Base of the nodes. A subclass sets ``parameters``, makes its inputs and outputs, and may override
     ``check``, ``start``, ``reset`` and ``report``."""
@@ -182,13 +219,19 @@ class TwinNode(Node):  # type: ignore[misc]
 
     def __init__(self, name: str, embedding: Embedding | None = None) -> None:
         self.embedding = embedding or Embedding()
+        #: What services do beside the node's work.
+        self.aside = Aside(self)
         super().__init__(
             name,
             context=self.embedding.context,
             namespace=self.embedding.namespace or None,
             parameter_overrides=list(self.embedding.parameters),
+            start_parameter_services=False,
         )
+        self._parameter_services = _ParameterServices(self)  # type: ignore[no-untyped-call]
         self.log: RcutilsLogger = Node.get_logger(self)
+        #: For what others may not know: on the terminal and in the log file, not on /rosout.
+        self.own_log = get_logger(f"{HARDWARE}.{name}")
         self.outbox = self.embedding.outbox or Outbox()
         self.twin = self.embedding.twin or DigitalTwin()
         #: The nodes whose stages are in one twin: they are reset together.
@@ -246,6 +289,9 @@ class TwinNode(Node):  # type: ignore[misc]
         if names & {p.name for p in self.parameters}:
             self.start()
 
+    def prepare(self, _values: Values, _named: NamedTwin) -> None:
+        """Make what takes long of a twin that is to be taken with these values, on a thread beside the node."""
+
     def start(self) -> None:
         """Take the present values of the parameters, and discard all data received so far."""
 
@@ -278,6 +324,20 @@ class TwinNode(Node):  # type: ignore[misc]
         :meth:`create_publisher`."""
         keywords.setdefault("event_callbacks", SubscriptionEventCallbacks(use_default_callbacks=False))
         return super().create_subscription(*args, **keywords)
+
+    def create_service(self, *args: Any, **keywords: Any) -> Service:
+        """As in the base class; a callback may be a coroutine that waits for what is done :attr:`aside`."""
+        return super().create_service(*args, callback_group=self.aside.group, **keywords)
+
+    async def read_named(self, path: str) -> None:
+        """Have the twin at ``path``, which somebody elsewhere names, read and made ready before a callback asks for it.
+
+        Raises InputError for a path that may not be named, and for its files, with what others may know of them.
+        """
+        with reading("twin", "a path"), for_peers(self.own_log.warning):
+            self._set.check_twin(path)
+            values = {**self.values, "twin": path}
+            await self.aside.do(lambda: self.prepare(values, read_named(path)))
 
     def listen(
         self, kind: type, topic: str, handler: Callable[[Message, int], None], *, expected: bool = True

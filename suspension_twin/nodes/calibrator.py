@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from rclpy.action.server import ActionServer, CancelResponse, GoalResponse, ServerGoalHandle
-from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.task import Future
@@ -20,6 +19,7 @@ from rclpy.timer import Timer
 from suspension_twin.calibration.request import Progress
 from suspension_twin.errors import SuspensionTwinError
 from suspension_twin.files import for_peers, reading
+from suspension_twin.nodes.aside import TICK
 from suspension_twin.nodes.jobs import (
     DiagnosisStep,
     Job,
@@ -40,8 +40,6 @@ from suspension_twin_interfaces.action import Calibrate, Diagnose
 
 __all__ = ["CalibratorNode"]
 
-#: Period in s at which the worker's messages are read.
-_TICK = 0.02
 #: s that a goal waits at most until its client's reader of answers is known (tolerance: twenty times what Fast DDS
 #: waits for it by itself, 0.1 s).
 _FOUND = 2.0
@@ -121,6 +119,13 @@ class CalibratorNode(ManagedNode):
             600.0,
         ),
         Param(
+            "waiting_goals",
+            0,
+            "Goals that may wait until the one that runs has ended; 0: a second goal is refused.",
+            0,
+            100,
+        ),
+        Param(
             "keep_sensor",
             False,
             "Whether a calibration leaves latency and mounting of the IMU as the file has them.",
@@ -132,9 +137,10 @@ class CalibratorNode(ManagedNode):
         #: Work of the worker for a goal, by the name of the action.
         self.works: dict[str, Work] = {a.name: a.work for a in ACTIONS} | dict(works or {})
         self._running: _Running | None = None
+        #: The goal whose turn it is, running or about to, and those that wait, with whether each gets its turn.
+        self._turn: tuple[Action, ServerGoalHandle] | None = None
+        self._waiting: deque[tuple[Action, ServerGoalHandle, Future]] = deque()
         self._timer: Timer | None = None
-        #: A goal that waits for its client holds up nothing else of the node.
-        self._goals = ReentrantCallbackGroup()
         self._servers = [
             ActionServer(
                 self,
@@ -143,7 +149,7 @@ class CalibratorNode(ManagedNode):
                 partial(self._execute, action),
                 goal_callback=partial(self._on_goal, action),
                 cancel_callback=self._on_cancel,
-                callback_group=self._goals,
+                callback_group=self.aside.group,
             )
             for action in ACTIONS
         ]
@@ -163,14 +169,17 @@ class CalibratorNode(ManagedNode):
         super().destroy_node()
 
     def _busy(self) -> str:
-        if self._running is None:
+        if not self.active or self._turn is None:
             return "the node is not active"
-        name = self._running.action.name
-        return f"a goal of {name} is running: cancel it or wait for its result"
+        waiting = f" and {len(self._waiting)} wait" if self._waiting else ""
+        return f"a goal of {self._turn[0].name} is running{waiting}: cancel it or wait for its result"
+
+    def _takes_another(self) -> bool:
+        return self._turn is None or len(self._waiting) < self.values["waiting_goals"]
 
     async def _on_goal(self, action: Action, _goal: object) -> GoalResponse:
         await self._answerable(f"{self.resolve_service_name(action.name)}/_action/send_goal")
-        if self._running is None and self.active:
+        if self.active and self._takes_another():
             return GoalResponse.ACCEPT
         self.note("rejected goals", WARN, f"{action.name}: goal rejected, {self._busy()}")
         return GoalResponse.REJECT
@@ -185,22 +194,13 @@ class CalibratorNode(ManagedNode):
             hearing = self.get_subscriptions_info_by_topic(f"rr{service}Reply", no_mangle=True)
             return len(hearing) >= len(asking)
 
-        if found():
-            return
-        until, ready = time.monotonic() + _FOUND, Future(executor=self.executor)
-
-        def look() -> None:
-            if not ready.done() and (found() or time.monotonic() >= until):
-                ready.set_result(None)
-
-        timer = self.create_timer(_TICK, look, self._goals, Clock(clock_type=ClockType.STEADY_TIME))
-        try:
-            await ready
-        finally:
-            self.destroy_timer(timer)
+        await self.aside.until(found, _FOUND)
 
     def _on_cancel(self, goal: ServerGoalHandle) -> CancelResponse:
         running = self._running
+        for _, waits, turn in self._waiting:
+            if waits.goal_id == goal.goal_id and not turn.done():
+                turn.set_result(False)
         if running is not None and running.goal.goal_id == goal.goal_id:
             running.worker.stop()
             patience = self.values["cancel_patience"] if running.action.has_partial else 0.0
@@ -208,25 +208,53 @@ class CalibratorNode(ManagedNode):
         return CancelResponse.ACCEPT
 
     async def _execute(self, action: Action, goal: ServerGoalHandle) -> Calibrate.Result | Diagnose.Result:
-        if self._running is not None:  # two goals accepted before either began
+        if not self._takes_another():  # two goals accepted before either began
+            goal.abort()
+            return action.kind.Result(message=self._busy())
+        if self._turn is not None:
+            turn = Future(executor=self.executor)
+            self._waiting.append((action, goal, turn))
+            self._feed_back(action, goal, action.step("waiting"))
+            if not await turn:
+                self._waiting = deque(entry for entry in self._waiting if entry[2] is not turn)
+                goal.canceled()
+                return action.kind.Result(message="cancelled while it waited")
+        self._turn = action, goal
+        try:
+            return await self._work(action, goal)
+        finally:
+            self._next()
+
+    def _next(self) -> None:
+        """The turn of the goal that has waited longest and was not cancelled."""
+        self._turn = None
+        while self._waiting:
+            action, goal, turn = self._waiting.popleft()
+            if not turn.done():
+                self._turn = action, goal
+                turn.set_result(True)
+                if self.executor is not None:
+                    self.executor.wake()
+                break
+
+    async def _work(self, action: Action, goal: ServerGoalHandle) -> Calibrate.Result | Diagnose.Result:
+        if not self.active:
             goal.abort()
             return action.kind.Result(message=self._busy())
         try:
-            options = {name: self.values[name] for name in action.options}
-            with reading(action.name, "a goal"), for_peers(self.log.warning):
-                check_paths(goal.request, self.folders, self.values["twin"])
-                job = action.job_of(goal.request, self.values["twin"], self.values["threads"], **options)
-                self.folders.check(
-                    job.output
-                )  # beside a recording that is a folder itself, it may lie out of it
+            with reading(action.name, "a goal"), for_peers(self.own_log.warning):
+                job = await self.aside.do(lambda: self._job(action, goal.request))
         except SuspensionTwinError as error:
             self.note("rejected goals", WARN, f"{action.name}: {error}")
             goal.abort()
             return action.kind.Result(message=str(error))
+        if goal.is_cancel_requested:
+            goal.canceled()
+            return action.kind.Result(message="cancelled: nothing was written")
         worker = Worker(self.works[action.name], job)
         self._running = _Running(action, goal, worker, Future(executor=self.executor))
-        self._timer = self.create_timer(_TICK, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self._feed_back(self._running, action.step("reading", note="starting a worker process"))
+        self._timer = self.create_timer(TICK, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._feed_back(action, goal, action.step("reading", note="starting a worker process"))
         outcome = await self._running.finished
         if goal.is_cancel_requested:
             goal.canceled()
@@ -239,6 +267,15 @@ class CalibratorNode(ManagedNode):
         self.health.values["state"] = "idle"
         return action.kind.Result(**outcome)
 
+    def _job(self, action: Action, goal: Calibrate.Goal | Diagnose.Goal) -> Job:
+        """The job of a goal, its paths checked and its twin read, which may take long."""
+        twin_file = self.values["twin"]
+        check_paths(goal, self.folders, twin_file)
+        options = {name: self.values[name] for name in action.options}
+        job = action.job_of(goal, twin_file, self.values["threads"], **options)
+        self.folders.check(job.output)  # beside a recording that is a folder itself, it may lie out of it
+        return job
+
     def _tick(self) -> None:
         running = self._running
         if running is None:
@@ -247,9 +284,10 @@ class CalibratorNode(ManagedNode):
             self._listen(running)
             pending = bool(running.steps)
             for _ in range(min(len(running.steps), 1 + len(running.steps) // 10)):
-                self._feed_back(running, running.steps.popleft())
+                self._feed_back(running.action, running.goal, running.steps.popleft())
         except Exception as error:  # the client gets a result in any case
-            running.fail(f"{type(error).__name__}: {error}")
+            running.fail(f"unexpected error, {type(error).__name__}")
+            self.own_log.error(f"{running.action.name}: {type(error).__name__}: {error}")
             pending = False
         if running.outcome is not None and not pending:
             self._finish(running)
@@ -261,20 +299,23 @@ class CalibratorNode(ManagedNode):
             elif news.kind == "done":
                 running.outcome = news.content
             elif running.outcome is None:
-                running.fail(news.content)
+                running.fail(news.content.text)
+                if news.content.whole:
+                    self.own_log.warning(f"{running.action.name}: {news.content.whole}")
         if running.outcome is None and time.monotonic() >= running.give_up_at:
             running.steps.clear()
             late = "no result within cancel_patience" if running.action.has_partial else "nothing was written"
             running.fail(f"cancelled: {late}")
 
-    def _feed_back(self, running: _Running, step: Step) -> None:
+    def _feed_back(self, action: Action, goal: ServerGoalHandle, step: Step) -> None:
         note = f" ({step.note})" if step.note else ""
-        self.health.values["state"] = f"{step.stage}{note}, {running.action.describe(step)}"
-        feedback = running.action.kind.Feedback()
+        if (action, goal) == self._turn:
+            self.health.values["state"] = f"{step.stage}{note}, {action.describe(step)}"
+        feedback = action.kind.Feedback()
         feedback.header.stamp = self.stamp_now()
         for name in feedback.get_fields_and_field_types().keys() - {"header"}:
             setattr(feedback, name, getattr(step, name))
-        running.goal.publish_feedback(feedback)
+        goal.publish_feedback(feedback)
 
     def _finish(self, running: _Running) -> None:
         self._running = None

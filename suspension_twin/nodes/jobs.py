@@ -29,11 +29,12 @@ from suspension_twin.calibration.presets import preset_named
 from suspension_twin.diagnosis import request as diagnosis
 from suspension_twin.drive.read import drive_name
 from suspension_twin.errors import InputError, SuspensionTwinError, printable
-from suspension_twin.files import Folders, together, unused
+from suspension_twin.files import Folders, for_peers, together, unused
 from suspension_twin.vehicle.twin import load_twin
 
 __all__ = [
     "DiagnosisStep",
+    "Failure",
     "Job",
     "News",
     "Outcome",
@@ -126,8 +127,10 @@ def calibration_job(goal: Any, twin_file: str, threads: int, keep_sensor: bool =
     output = _output(goal.output, bags[0], "calibrated.yaml")
     if output.is_dir() or not _writable(output.parent):
         raise InputError(output, "cannot be written: name a file in a folder that exists")
-    if output.exists() and not details_path(output).exists():
-        raise InputError(output, "is no result of a calibration: not overwritten")
+    if output.exists() and not (goal.overwrite or details_path(output).exists()):
+        raise InputError(
+            output, "is no result of a calibration: not overwritten, unless the goal says overwrite"
+        )
     request = calibration.CalibrationRequest(
         twin=twin,
         bags=bags,
@@ -148,8 +151,11 @@ def diagnosis_job(goal: Any, twin_file: str, threads: int) -> Job:
     folder = _output(goal.output, bags[0], "diagnosis")
     if not _writable(folder if folder.exists() else folder.parent):
         raise InputError(folder, "cannot be written: name a folder, in one that exists")
-    if folder.exists() and any(folder.iterdir()) and not (folder / "diagnosis.json").exists():
-        raise InputError(folder, "is no folder of a diagnosis: not overwritten")
+    kept = folder.exists() and any(folder.iterdir()) and not (folder / "diagnosis.json").exists()
+    if kept and not goal.overwrite:
+        raise InputError(
+            folder, "is no folder of a diagnosis: not overwritten, unless the goal says overwrite"
+        )
     request = diagnosis.DiagnosisRequest(twin, bags, reference, int(goal.seed))
     return Job(request, str(folder), threads)
 
@@ -214,10 +220,18 @@ Work = Callable[[Job, Callable[[Any], None], Callable[[], bool]], Outcome]
 
 
 class News(NamedTuple):
-    """A message of the worker process: progress, and in the end the outcome or one line of what went wrong."""
+    """A message of the worker process: progress, and in the end the outcome or a :class:`Failure`."""
 
     kind: Literal["progress", "done", "failed"]
     content: Any
+
+
+class Failure(NamedTuple):
+    """Why a worker has failed: a line that anybody may read, and where it leaves out what stands in a file the whole
+    one, for the log of this machine."""
+
+    text: str
+    whole: str = ""
 
 
 class Worker:
@@ -238,7 +252,9 @@ class Worker:
                 found.append(self._here.recv())
         except (EOFError, OSError):
             self._process.join(0.1)
-            found.append(News("failed", f"the worker process ended (exit status {self._process.exitcode})"))
+            found.append(
+                News("failed", Failure(f"the worker process ended (exit status {self._process.exitcode})"))
+            )
         return found
 
     def stop(self) -> None:
@@ -273,12 +289,15 @@ def _run(work: Work, job: Job, parent: Connection) -> None:
 
         numba.set_num_threads(min(job.threads, numba.config.NUMBA_NUM_THREADS))
 
+    whole: list[str] = []
     try:
-        outcome = work(job, lambda content: parent.send(News("progress", content)), stop.is_set)
+        with for_peers(whole.append):
+            outcome = work(job, lambda content: parent.send(News("progress", content)), stop.is_set)
         last = News("done", outcome)
     except SuspensionTwinError as error:
-        last = News("failed", str(error))
+        last = News("failed", Failure(str(error), "".join(whole)))
     except Exception as error:
-        last = News("failed", printable(f"unexpected error, {type(error).__name__}: {error}"))
+        text = f"unexpected error, {type(error).__name__}"
+        last = News("failed", Failure(text, printable(f"{text}: {error}")))
     with contextlib.suppress(OSError):  # the parent no longer listens
         parent.send(last)

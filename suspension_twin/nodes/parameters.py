@@ -9,15 +9,19 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.exceptions import InvalidParameterTypeException, ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from suspension_twin.drive.unpack import Budget, within_limits
 from suspension_twin.errors import InputError
 from suspension_twin.files import Folders, for_peers, read_yaml, reader, reading
+from suspension_twin.inference.observation import road_file
+from suspension_twin.live.gap import CalibrationGap, calibration_gap
+from suspension_twin.road import Road, load_road
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.vehicle.twin import Twin, load_twin
 
@@ -26,6 +30,7 @@ __all__ = [
     "FOLDERS",
     "LOW_PASS",
     "TWIN",
+    "NamedTwin",
     "Param",
     "ParameterSet",
     "Values",
@@ -33,6 +38,8 @@ __all__ = [
     "filter_of",
     "folders_of",
     "low_pass_text",
+    "named_twin",
+    "read_named",
     "read_param_file",
     "twin_of",
 ]
@@ -141,6 +148,11 @@ class ParameterSet:
         known = self._params
         return self.values | {p.name: known[p.name].read(p.value) for p in parameters if p.name in known}
 
+    def check_twin(self, path: str) -> None:
+        """Raise InputError for a twin file that may not be named from elsewhere."""
+        if path and path != self.values["twin"]:
+            self.folders.check(path, ".yaml")
+
     def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
         try:
             with reading("parameters", "a set of values"):  # anybody may set them: no value ends the node
@@ -148,8 +160,7 @@ class ParameterSet:
                     if parameter.name in self._params and parameter.value is None:
                         raise InputError(parameter.name, "cannot be unset")
                 values = self._merged(parameters)
-                if (path := values.get("twin")) and path != self.values["twin"]:
-                    self.folders.check(path, ".yaml")
+                self.check_twin(values.get("twin", ""))
                 with for_peers(self._node.get_logger().warning):
                     self._refuse_unusable(values)
         except InputError as error:
@@ -191,19 +202,66 @@ FILTER = (
 )
 
 
+class NamedTwin(NamedTuple):
+    """The twin behind a path that somebody names, the road that it drives on, and the residual of its calibration."""
+
+    twin: Twin
+    road: Road | None
+    floor: CalibrationGap
+
+
+#: What was read for services, by path: callbacks find it here and read nothing.
+_NAMED: dict[str, NamedTwin] = {}
+_MOST = 16
+
+
+def read_named(path: str) -> NamedTwin:
+    """Read all files of a twin, its road in a process with limits; :func:`named_twin` has it from then on.
+
+    Raises InputError that names the file and the key.
+    """
+    with reading(path, "a twin file"):
+        twin = load_twin(path)
+        road = None if twin.road is None or twin.program is not None else _road_of(path, twin)
+        named = NamedTwin(twin, road, calibration_gap(0.0, path))
+    _NAMED.pop(path, None)
+    _NAMED[path] = named
+    for oldest in list(_NAMED)[:-_MOST]:
+        _NAMED.pop(oldest, None)
+    return named
+
+
+def _road_of(path: str, twin: Twin) -> Road:
+    try:
+        file = road_file(twin)
+    except InputError as error:
+        error.source, error.place = path, "road.file"
+        raise
+    budget = Budget(file, file.stat().st_size)
+    return within_limits(load_road, file, budget=budget, kind="an OpenCRG road", module="pycrg")
+
+
+def named_twin(values: Values) -> NamedTwin | None:
+    """The files of the parameter ``twin``, where :func:`read_named` has read them."""
+    return _NAMED.get(values["twin"])
+
+
 @lru_cache(maxsize=16)
 def _load(path: str, _changed: int) -> Twin:
     return load_twin(path)
 
 
 def twin_of(values: Values) -> Twin | None:
-    """The twin of the parameter ``twin``, read again when the file has changed; None if not set.
+    """The twin of the parameter ``twin``; None if not set. That which a node is started with is read again when the
+    file has changed, one that a service names each time that it is named.
 
     Raises InputError that names the file and the key.
     """
     path = values["twin"]
     if not path:
         return None
+    if (named := named_twin(values)) is not None:
+        return named.twin
     with reading(path, "a twin file"):
         return _load(path, Path(path).stat().st_mtime_ns)
 

@@ -27,6 +27,7 @@ from suspension_twin.nodes.parameters import (
     Values,
     filter_of,
     low_pass_text,
+    named_twin,
     twin_of,
 )
 from suspension_twin.nodes.pose_inputs import INPUTS, PoseInputs
@@ -147,7 +148,11 @@ class PoseInjectorNode(ManagedNode):
         self._frame = None if twin is None else twin.gps.frame
         self.others.configure(twin)
         self._lock = self.twin.lock = lock_stage(twin, _settings(self.values), _datum(self.values))
-        felt = felt_stage(twin, FeltSettings(self.values["felt_rate"], filter_of(self.values)))
+        named, settings = (
+            named_twin(self.values),
+            FeltSettings(self.values["felt_rate"], filter_of(self.values)),
+        )
+        felt = felt_stage(twin, settings, None if named is None else named.road)
         self.twin.felt = felt if self.values["felt_position"] == "auto" else None
         self._counted.clear()
 

@@ -69,6 +69,15 @@ class Stop:
         finally:
             self.asked = before or self.asked
 
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Within, a signal interrupts nothing: it is asked for."""
+        before, self.interrupts = self.interrupts, False
+        try:
+            yield
+        finally:
+            self.interrupts = before
+
     def leave(self) -> None:
         """End the process here if it has been asked to: the interpreter's regular exit takes half
         a second with a compiler loaded, and there is nothing to clean up."""

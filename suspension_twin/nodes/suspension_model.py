@@ -27,10 +27,12 @@ from suspension_twin.nodes.parameters import (
     FOLDERS,
     LOW_PASS,
     TWIN,
+    NamedTwin,
     Param,
     Values,
     filter_of,
     low_pass_text,
+    named_twin,
     twin_of,
 )
 from suspension_twin.nodes.topics import ERROR, OK, STALE, WARN, Embedding
@@ -92,8 +94,9 @@ class SuspensionModelNode(ManagedNode):
         Param("base_frame", "base_link", "Frame of the vehicle's body.", read_only=True),
         Param(
             "visual_rate",
-            100.0,
-            "Largest rate in Hz of twin/pose, joint_states and /tf; up to it there is one message per sample.",
+            60.0,
+            "Largest rate in Hz of twin/pose, joint_states and /tf, evenly spaced; up to it there is one message per "
+            "sample. 2000: every sample, for a recording.",
             0.1,
             2000.0,
         ),
@@ -109,7 +112,9 @@ class SuspensionModelNode(ManagedNode):
     )
 
     def __init__(self, embedding: Embedding | None = None) -> None:
+        #: That of the present values, and that of the twin which a service has named last.
         self._prepared: Follower | None = None
+        self._named: Follower | None = None
         self._programs: tuple[Path, ...] | None = None  # any, while the node is started
         super().__init__("suspension_model", embedding)
         named = _named(self.values)
@@ -138,11 +143,21 @@ class SuspensionModelNode(ManagedNode):
         settings.gap()
         if twin is None:
             self._prepared = None
+        elif self._named is not None and self._named.twin is twin:
+            self._prepared = self._named
         elif self._prepared is None or twin is not self._prepared.twin:
-            if self._programs is not None and twin.program not in (None, *self._programs):
-                text = f"{twin.model} runs a program: name it when the node is started, not by a request"
-                raise InputError(values["twin"], "model", text)
+            self._check_program(values["twin"], twin)
             self._prepared = Follower(twin, settings)
+
+    def _check_program(self, path: str, twin: Twin) -> None:
+        if self._programs is not None and twin.program not in (None, *self._programs):
+            text = f"{twin.model} runs a program: name it when the node is started, not by a request"
+            raise InputError(path, "model", text)
+
+    def prepare(self, values: Values, named: NamedTwin) -> None:
+        """See the base class."""
+        self._check_program(values["twin"], named.twin)
+        self._named = Follower(named.twin, _settings(values), named.road)
 
     def start(self) -> None:
         """See the base class."""
@@ -223,12 +238,16 @@ class SuspensionModelNode(ManagedNode):
         response.success, response.message = True, "the simulation restarts from static equilibrium"
         return response
 
-    def _on_load(self, request: LoadTwin.Request, response: LoadTwin.Response) -> LoadTwin.Response:
-        before = None if self._follower is None else self._follower.twin
+    async def _on_load(self, request: LoadTwin.Request, response: LoadTwin.Response) -> LoadTwin.Response:
         if not request.path:
             response.success, response.message = False, "path: is empty, give the path of a twin file"
             return response
-        self._prepared = None  # the file is read again even if the path is the same
+        try:
+            await self.read_named(request.path)
+        except InputError as error:
+            response.success, response.message = False, str(error)
+            return response
+        before = None if self._follower is None else self._follower.twin
         result = self.set_parameters([Parameter("twin", value=request.path)])[0]
         response.success, response.message = result.successful, result.reason
         if result.successful and self._follower is not None:
@@ -321,11 +340,12 @@ def _named(values: Values) -> Twin | None:
 
 def _settings(values: Values) -> FollowSettings:
     """Low-pass and gap as the parameters describe them. Raises InputError."""
+    named, given = named_twin(values), values["gap.floor"]
     return FollowSettings(
         filter=filter_of(values),
         window=values["gap.window"],
         edges=tuple(values["gap.bands"]),
-        floor=calibration_gap(values["gap.floor"], values["twin"]),
+        floor=named.floor if named and not given else calibration_gap(given, values["twin"]),
         warn=values["gap.warn"],
         acceleration_time=values["acceleration_time"],
     )

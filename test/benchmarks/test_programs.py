@@ -19,6 +19,7 @@ TABLES = {
     "demo": r"over the fixed work",
     "diagnosis": r"two drives with the gap +library .* s, processor",
     "discrepancy": r"linear filters of the road",
+    "engine": r"off it where they are carried on",
     "export": r"communication step, ms +times real time",
     "felt": r"false locks",
     "fleet": r"sound vehicles named",

@@ -77,10 +77,11 @@ HARMLESS = {
     "addons/sources/iio.py": ("",),  # devices of the kernel
     "compiled.py": ("file.read_",),  # sources of the package
     "drive/foreign_files.py": ("self._archive.open(member)",),
-    "drive/importers/matlab_mobile.py": (
+    "drive/mat.py": (
         "h5py.File(path)",
         "matio.load_from_mat(path)",
     ),  # a copy, in a child
+    "drive/importers/sensor_logger.py": ("sqlite3.connect(uri",),  # what open_file() has looked at
     "drive/recording.py": (
         "Ros1Reader(path)",  # what open_file() has looked at
         "reader.open()",

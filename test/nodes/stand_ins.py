@@ -49,6 +49,12 @@ def cannot(job, progress, should_stop):
     raise InputError(job.request.bags[0], "no GPS")
 
 
+def stumbles_on_a_file(job, progress, should_stop):
+    path = Path(job.output).with_name("other.yaml")
+    path.write_text("hunter2: 1\n")
+    load_twin(path)
+
+
 def breaks(job, progress, should_stop):
     raise ZeroDivisionError("inside")
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import http.client
+import json
 import os
 import signal
 import socket
@@ -161,6 +163,42 @@ def test_what_the_twin_follows_is_recorded_beside(bench, drive, twin_path, tmp_p
     assert (
         main(["run", "--twin", str(twin_path), "--record", str(tmp_path / "other")]) == 2
     )  # without a source
+
+
+def push_until_refused(port: int, acknowledged: list[float]) -> None:
+    """Push a fifth of a second at a time as fast as it is taken; ``acknowledged`` gets the stamps, in s."""
+    up, still = {"x": 0.0, "y": 0.0, "z": 9.81}, {"x": 0.0, "y": 0.0, "z": 0.0}
+    begin, number = time.time_ns() - 60_000_000_000, 0
+    with contextlib.suppress(OSError, http.client.HTTPException):
+        connection = http.client.HTTPConnection("127.0.0.1", port)
+        while True:
+            stamps = [begin + 10_000_000 * (20 * number + k) for k in range(20)]
+            readings = [
+                {"name": name, "time": ns, "values": values}
+                for ns in stamps
+                for name, values in (("totalacceleration", up), ("gyroscope", still))
+            ]
+            body = {"messageId": number, "sessionId": "s", "deviceId": "d", "payload": readings}
+            connection.request("POST", "/", json.dumps(body), {"Content-Type": "application/json"})
+            if connection.getresponse().read() != b"ok":
+                return
+            acknowledged += [ns / 1e9 for ns in stamps]
+            number += 1
+
+
+def test_whatever_was_acknowledged_is_recorded_when_it_is_killed(bench, twin_path, tmp_path):
+    port, bag, acknowledged = free_port(), tmp_path / "drive", []
+    url = f"sensorlogger://127.0.0.1:{port}"
+    process = start(run_command("--twin", twin_path, "--source", url, "--record", bag))
+    bench.until(lambda: is_open(port), "the port", 60.0)
+    sender = threading.Thread(target=push_until_refused, args=(port, acknowledged))
+    sender.start()
+    bench.until(lambda: len(acknowledged) > 800, "pushes")
+    end(process, signal.SIGTERM)
+    _, errors = process.communicate()
+    sender.join(10.0)
+    assert process.returncode == 0 and "InvalidHandle" not in errors and "Traceback" not in errors, errors
+    assert len(read_drive(bag).imu) >= len(acknowledged)
 
 
 def test_wrong_sources_end_in_one_line(bench, twin_path, capfd):

@@ -8,6 +8,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from suspension_twin.addons.cli.live_lines import say_reached
 from suspension_twin.addons.roads.drives.learning import twin_path
 from suspension_twin.addons.sources import make_sources
 from suspension_twin.addons.sources.common.hub import Hub
@@ -31,7 +32,7 @@ class Sources(Companion):
     """``--source``: checks the URLs; the node of live sources is one of those that run."""
 
     def __init__(self, urls: str, _settings: RunSettings) -> None:
-        make_sources(urls.split(), Hub())
+        say_reached(make_sources(urls.split(), Hub()))
 
 
 class Recording(Companion):
@@ -44,16 +45,20 @@ class Recording(Companion):
         self._overwrite = settings.live.force
 
     @contextmanager
-    def beside(self, composed: Composed, _stop: Stop) -> Iterator[None]:
-        """See ``Companion``."""
+    def beside(self, composed: Composed, stop: Stop) -> Iterator[None]:
+        """See ``Companion``. Nothing interrupts between a sample's receipt, of which its sender is told, and the
+        bag."""
         from suspension_twin.addons.nodes.source import SourceNode
 
         source, (path,) = composed.nodes["source"], self.files
         assert isinstance(source, SourceNode)
         try:
-            with LiveRecorder(path, overwrite=self._overwrite) as recorder:
+            with LiveRecorder(path, overwrite=self._overwrite) as recorder, stop.held():
                 source.tap = lambda packet: recorder.write([packet])
-                yield
+                try:
+                    yield
+                finally:
+                    source.end()
         finally:
             source.tap = None
             if path.exists():

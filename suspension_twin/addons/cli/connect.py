@@ -19,6 +19,7 @@ from suspension_twin.addons.cli.live_lines import (
     DEFAULT_SOURCE,
     LiveLines,
     device_lines,
+    say_reached,
     show_guide,
     styled,
     until_ended,
@@ -67,6 +68,7 @@ def command(
     console = output()
     hub = Hub()
     sources = make_sources(urls or [DEFAULT_SOURCE], hub)
+    say_reached(sources)
     console.print(Text("On this machine", style="bold"))
     for line in discover():
         console.print(Text(f"  {line}"))

@@ -16,6 +16,7 @@ from suspension_twin.addons.cli.live_lines import (
     DEFAULT_SOURCE,
     LiveLines,
     device_lines,
+    say_reached,
     show_guide,
     styled,
     until_ended,
@@ -91,6 +92,7 @@ def command(
     guide = FirstDrive(loaded, passes)
     hub = Hub()
     sources = make_sources(urls, hub)
+    say_reached(sources)
     outputs.announce()
     if loaded.datum is None:
         output().print(f"{twin}: {NO_DATUM.text}", style="yellow", markup=False)

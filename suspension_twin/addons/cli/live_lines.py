@@ -17,13 +17,14 @@ from rich.text import Text
 from suspension_twin.addons.sources import LiveSource
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.addons.sources.common.report import device_line, findings
-from suspension_twin.cli._status import UpdatedLines
+from suspension_twin.cli._status import UpdatedLines, say
 from suspension_twin.signals.checks import Finding
 
 __all__ = [
     "DEFAULT_SOURCE",
     "LiveLines",
     "device_lines",
+    "say_reached",
     "show_guide",
     "styled",
     "until_ended",
@@ -47,6 +48,13 @@ def device_lines(hub: Hub, style: str = "", indent: str = "  ") -> list[Text]:
     now = hub.now()
     lines = [Text(f"{indent}{device_line(device, now)}", style=style) for device in hub.devices.values()]
     return lines + [styled(finding) for finding in findings(hub, now)]
+
+
+def say_reached(sources: Sequence[LiveSource]) -> None:
+    """The first line of a command that others than this machine can send to."""
+    for source in sources:
+        if source.reached:
+            say(source.reached)
 
 
 async def until_ended(seconds: float | None = None) -> AsyncIterator[None]:

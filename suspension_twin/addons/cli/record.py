@@ -16,6 +16,7 @@ from suspension_twin.addons.cli.live_lines import (
     DEFAULT_SOURCE,
     LiveLines,
     device_lines,
+    say_reached,
     show_guide,
     until_ended,
 )
@@ -58,6 +59,7 @@ def command(
     hub = Hub()
     sources = make_sources(urls, hub)
     console = output()
+    say_reached(sources)
     outputs.announce()
     with LiveRecorder(out, overwrite=force) as recorder:
         asyncio.run(_record(sources, hub, recorder, seconds, [] if source else urls))

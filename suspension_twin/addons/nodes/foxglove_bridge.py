@@ -58,7 +58,7 @@ class FoxgloveBridgeNode(TwinNode):
         self._sink = foxglove.Context()
         simulated = bool(self.get_parameter("use_sim_time").value)
         capabilities = [foxglove.Capability.Time] if simulated else []
-        foxglove.set_log_level("ERROR")
+        foxglove.set_log_level("CRITICAL")  # of every connection that is none it logs a line
         try:
             self.server = foxglove.start_server(
                 name="suspension_twin",

@@ -293,8 +293,10 @@ class RoadLearnerNode(TwinNode):
             self._worker = None
             worker.kill()
             if news.kind == "failed":
-                self.why = news.content
-                self.note("roads not learnt", WARN, f"the road could not be learnt: {news.content}")
+                self.why = news.content.text
+                self.note("roads not learnt", WARN, f"the road could not be learnt: {self.why}")
+                if news.content.whole:
+                    self.own_log.warning(news.content.whole)
                 return
             self._taught = news.content
             self.say(OK, f"road learnt: {self._known()}, written to {self._out}")

@@ -66,15 +66,20 @@ class SourceNode(TwinNode):
             self.destroy_node()
             raise
         if not driven:
-            for (
-                note
-            ) in self._receiver.notes:  # not by the log, which goes out on /rosout: there is a token in it
+            reached = [s.reached for s in self._receiver.sources if s.reached]
+            for note in (*reached, *self._receiver.notes):
+                # not by the log, which goes out on /rosout: there is a token in it
                 print(note, file=sys.stderr, flush=True)
 
     @property
     def notes(self) -> list[str]:
         """Addresses and settings for the user, a line each."""
         return self._receiver.notes
+
+    def end(self) -> None:
+        """Stop the sources, and deliver what they have received."""
+        self._receiver.close()
+        self.deliver()
 
     def destroy_node(self) -> None:
         """Stop the sources, then as in the base class."""

@@ -29,6 +29,8 @@ class LiveSource(Protocol):
     steps: Sequence[str]
     #: What a QR code shows for it, once it is open; empty: none.
     code: str
+    #: Who else than this machine can send to it, which the first line of a command says; empty: nobody.
+    reached: str
 
     async def start(self) -> None:
         """Open what can fail for good: InputError for a port that is taken, a device that is not there."""

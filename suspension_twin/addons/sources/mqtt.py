@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import Final, Literal
 
 from paho.mqtt.client import Client, MQTTMessage
-from paho.mqtt.enums import CallbackAPIVersion
+from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode
 from paho.mqtt.reasoncodes import ReasonCode
 
 from suspension_twin.addons.sources.common.clock import host_time
@@ -34,7 +34,16 @@ _PORTS: Final = {
     ("websockets", True): 8884,
 }
 _LARGEST: Final = 4_000_000  # bytes of a message
+_PACKET: Final = _LARGEST + (1 << 16)  # with its topic
 _WAITING: Final = 1000  # messages that the event loop may be behind
+
+
+class _Client(Client):
+    """A client that gives a connection up whose broker announces more than a message may have: paho waits for it."""
+
+    def _packet_read(self) -> MQTTErrorCode:
+        found = super()._packet_read()
+        return MQTTErrorCode.MQTT_ERR_PROTOCOL if self._in_packet["remaining_length"] > _PACKET else found
 
 
 class Mqtt(PlainSource):
@@ -63,7 +72,7 @@ class Mqtt(PlainSource):
         self.refused = 0
         self.notes = [f"MQTT: topic {self._topic} of {self._where[0]}:{self._where[1]}"]
         self._pending = 0
-        self._client = Client(CallbackAPIVersion.VERSION2, transport=way)
+        self._client = _Client(CallbackAPIVersion.VERSION2, transport=way)
         self._client.reconnect_delay_set(1, 5)
         if address.user:
             self._client.username_pw_set(address.user, address.password or None)

@@ -75,18 +75,20 @@ class Nmea(Receiver):
 
     def _sentence(self, line: bytes, arrival: float) -> None:
         try:
-            message: Any = NMEAReader.parse(line)
+            self._read(NMEAReader.parse(line), arrival)
         except (
             NMEAParseError,
             NMEAMessageError,
             NMEATypeError,
+            ArithmeticError,
             ValueError,
             TypeError,
             IndexError,
-            AttributeError,
+            AttributeError,  # a sentence that ends before a field
         ):
             self.device.counts["sentences that cannot be read"] += 1
-            return
+
+    def _read(self, message: Any, arrival: float) -> None:
         kind = getattr(message, "msgID", None)
         if kind not in _USED:  # a proprietary sentence that only looked like one of them
             return

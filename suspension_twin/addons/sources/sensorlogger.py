@@ -43,15 +43,15 @@ class SensorLogger(PlainSource):
         self.server.page = self._page
         self.server.is_spare = self.phones.is_spare
         self.notes = []
+        if self.server.open:
+            where = f"Listens on {self.server.host}, which others reach"
+            self.reached = f"{where}: who has the address with its token can send"
 
     async def start(self) -> None:
         """Listen; InputError where the port is taken."""
         await self.server.start()
         self.code = self.server.url()
         self.notes = [f"Sensor Logger: push to {self.code}"]
-        if self.server.open:
-            reached = f"Listens on {self.server.host}, which others reach: who has the address with its token can send"
-            self.notes.insert(0, reached)
 
     def _page(self) -> str:
         """The page for the phone's browser: the address to copy, and the steps of the set-up."""

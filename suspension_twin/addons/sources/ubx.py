@@ -37,6 +37,11 @@ _PVT, _HP, _RELATIVE = b"\x01\x07", b"\x01\x14", b"\x01\x3c"
 #: NAV-HPPOSLLH: flags, iTOW; lon, lat in 1e-7 degrees, height in mm; then their digits below, in 1e-9 degrees and
 #: 0.1 mm; horizontal and vertical accuracy in 0.1 mm.
 _HP_FORMAT: Final = struct.Struct("<3xBIiiiibbbbII")
+#: Raised for a frame that is none, lacks a field, or has a date that is none.
+_WRONG: Final = (
+    *(UBXParseError, UBXMessageError, UBXTypeError, UBXStreamError),
+    *(ValueError, TypeError, AttributeError, struct.error),
+)
 #: Configuration keys of the messages, on each port that a computer may be at.
 _MESSAGES: Final = ("UBX_NAV_PVT", "UBX_NAV_HPPOSLLH")
 _PORTS: Final = ("USB", "UART1", "UART2")
@@ -107,18 +112,19 @@ class Ubx(Receiver):
                 self._emit()
         elif kind in (_PVT, _RELATIVE):
             try:
-                message: Any = UBXReader.parse(frame)
-            except (UBXParseError, UBXMessageError, UBXTypeError, UBXStreamError, ValueError, struct.error):
+                self._message(kind, UBXReader.parse(frame), payload, arrival)
+            except _WRONG:
                 self.device.counts["frames that cannot be read"] += 1
-                return
-            self.understood += 1
-            if kind == _PVT:
-                self._emit()  # whose precise part has not come
-                self._pvt = int.from_bytes(payload[0:4], "little"), message, arrival
-                if self._pvt[0] in self._precise or not self._waits_for_precise:
-                    self._emit()
-            elif self._has_heading and message.relPosHeadingValid and message.relPosValid:
-                self._heading(message, int.from_bytes(payload[4:8], "little"), arrival)
+
+    def _message(self, kind: bytes, message: Any, payload: bytes, arrival: float) -> None:
+        self.understood += 1
+        if kind == _PVT:
+            self._emit()  # whose precise part has not come
+            self._pvt = int.from_bytes(payload[0:4], "little"), message, arrival
+            if self._pvt[0] in self._precise or not self._waits_for_precise:
+                self._emit()
+        elif self._has_heading and message.relPosHeadingValid and message.relPosValid:
+            self._heading(message, int.from_bytes(payload[4:8], "little"), arrival)
 
     def _emit(self) -> None:
         """Hand an epoch on."""

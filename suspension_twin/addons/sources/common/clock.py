@@ -43,6 +43,28 @@ def host_time() -> float:
     return _EPOCH + time.monotonic()
 
 
+class Few:
+    """Lets ``most`` texts of a kind pass in ``seconds``, of which none is another's repetition.
+
+    Whoever sends something can make its text a new one each time.
+    """
+
+    def __init__(self, most: int = 3, seconds: float = 10.0, kinds: int = 200) -> None:
+        self._most, self._seconds, self._kinds = most, seconds, kinds
+        self._passed: dict[str, list[tuple[str, float]]] = {}
+
+    def allows(self, kind: str, text: str, *, again: bool = False) -> bool:
+        """Whether ``text`` passes now; ``again``: as a repetition, too."""
+        now = host_time()
+        recent = [(old, at) for old, at in self._passed.get(kind, ()) if now - at < self._seconds]
+        if len(recent) >= self._most or (not again and text in [old for old, _ in recent]):
+            return False
+        if len(self._passed) >= self._kinds:
+            self._passed.clear()
+        self._passed[kind] = [*recent, (text, now)]
+        return True
+
+
 class ArrivalClock:
     """Offset, drift and steps of one device's clock.
 

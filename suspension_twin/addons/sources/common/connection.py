@@ -6,6 +6,7 @@ from __future__ import annotations
 import asyncio
 import ipaddress
 import json
+import logging
 import math
 import time
 from collections.abc import Awaitable, Callable, Collection
@@ -15,8 +16,9 @@ from urllib.parse import parse_qsl, unquote, urlsplit
 
 import aiohttp
 
+from suspension_twin.addons.sources.common.clock import Few
 from suspension_twin.addons.sources.common.hub import Hub
-from suspension_twin.errors import InputError, nearest
+from suspension_twin.errors import InputError, nearest, shorter
 from suspension_twin.files import Json
 
 __all__ = [
@@ -108,6 +110,8 @@ def parse_address(url: str) -> Address:
     )
 
 
+#: Characters of what the other side says that are repeated.
+_WORDS = 80
 #: s between attempts, at first and at most.
 _FIRST, _LONGEST = 0.5, 0.8
 #: s that a connection has to last for the next attempt to be a first one.
@@ -118,7 +122,7 @@ class PlainSource:
     """A source with nothing to open or close: the other side may be started later."""
 
     notes: list[str]
-    code = ""
+    code = reached = ""
 
     async def start(self) -> None:
         """See :class:`~suspension_twin.addons.sources.LiveSource`."""
@@ -144,7 +148,9 @@ async def fetch(session: aiohttp.ClientSession, url: str, most: int) -> bytes:
     """The answer to a GET; InputError where it is no success or has more than ``most`` bytes."""
     async with session.get(url) as answer:
         if answer.status != 200:
-            raise InputError(url.partition("?")[0], f"answers {answer.status} {answer.reason}")
+            raise InputError(
+                url.partition("?")[0], f"answers {answer.status} {shorter(answer.reason or '', _WORDS)}"
+            )
         parts, size = [], 0
         async for part in answer.content.iter_chunked(65536):
             size += len(part)
@@ -152,6 +158,25 @@ async def fetch(session: aiohttp.ClientSession, url: str, most: int) -> bytes:
                 raise InputError(url.partition("?")[0], f"answers with more than {most} bytes")
             parts.append(part)
         return b"".join(parts)
+
+
+class _Seldom(logging.Filter):
+    """Lets a few lines of a log pass, without tracebacks: whoever sends nonsense could fill a terminal with them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._few = Few()
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """See the base class."""
+        error = record.exc_info[1] if record.exc_info else None
+        cause = "" if error is None else f" ({type(error).__name__}: {error})"
+        record.msg, record.args, record.exc_info = shorter(record.getMessage() + cause, _WORDS), (), None
+        return self._few.allows(record.name, record.msg)
+
+
+# That of the event loops of all sources and servers.
+logging.getLogger("asyncio").addFilter(_Seldom())
 
 
 class Stay(Exception):
@@ -173,6 +198,8 @@ async def keep_connected(hub: Hub, name: str, session: Callable[[], Awaitable[No
             reason = str(error)
         except (OSError, EOFError, asyncio.TimeoutError, aiohttp.ClientError) as error:
             reason = _reason(error)
+        except Exception as error:  # what a field holds that no reader expects
+            reason = f"sends what cannot be read ({type(error).__name__})"
         if time.monotonic() - began > _GOOD:
             wait, told = _FIRST, ""
         if reason != told:
@@ -188,10 +215,10 @@ def _reason(error: BaseException) -> str:
     if isinstance(error, aiohttp.ClientConnectorError):
         return f"cannot be reached ({error.os_error.strerror or error.os_error})"
     if isinstance(error, aiohttp.WSServerHandshakeError | aiohttp.ClientResponseError):
-        return f"answers {error.status} {error.message}"
+        return f"answers {error.status} {shorter(error.message, _WORDS)}"
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
-    return str(error) or type(error).__name__
+    return shorter(str(error), _WORDS) or type(error).__name__
 
 
 def read_object(text: bytes | str) -> Json:

@@ -16,7 +16,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from suspension_twin.addons.sources.common.clock import ArrivalClock, host_time
+from suspension_twin.addons.sources.common.clock import ArrivalClock, Few, host_time
 from suspension_twin.addons.sources.common.motion import MotionLag, MotionShift
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.checks import measured
@@ -25,7 +25,7 @@ from suspension_twin.drive.received import LivePlaces, held_velocities, with_ver
 from suspension_twin.drive.stamps import spread
 from suspension_twin.drive.streams import velocities_from_course
 from suspension_twin.drive.types import FixData, HeadingData, ImuData, Samples, VelocityData
-from suspension_twin.errors import InputError
+from suspension_twin.errors import InputError, shorter
 from suspension_twin.signals.checks import Finding
 
 __all__ = ["STREAMS", "Device", "Hub", "Packet", "Stream"]
@@ -300,8 +300,8 @@ class _Buffer:
 _LIMIT = 20_000
 _DEVICES = 16
 _EVENTS = 200
-#: s in which the same warning is given once.
-_REPEAT = 10.0
+#: Characters of an event.
+_LINE = 300
 #: s after which another device takes the place of one that has gone silent.
 _SUCCESSION = 30.0
 #: A correction of stamps follows its target by this share of time; beyond the bound in s it jumps.
@@ -368,7 +368,7 @@ class Hub:
         self._held = 0
         self._lock = threading.Lock()
         self._events: deque[Finding] = deque(maxlen=_EVENTS)
-        self._warned: dict[str, float] = {}
+        self._few = Few()
         self._corrections: dict[ArrivalClock, _Correction] = {}
         self._ignored: set[tuple[str, str]] = set()
         #: What the motion has last said of the IMU's stamps.
@@ -404,14 +404,11 @@ class Hub:
         return device
 
     def notify(self, level: Literal["ok", "warn", "error"], code: str, text: str) -> None:
-        """An event for the user; ``code`` names its kind. A warning that was just given is not repeated."""
-        if level != "ok":
-            now = host_time()
-            if now - self._warned.get(text, -math.inf) < _REPEAT:
-                return
-            if len(self._warned) >= _EVENTS:
-                self._warned.clear()
-            self._warned[text] = now
+        """An event for the user; ``code`` names its kind. A warning that was just given is not repeated, and of one
+        kind there are a few at a time."""
+        text = shorter(text, _LINE)
+        if not self._few.allows(code, text, again=level == "ok"):
+            return
         self._events.append(Finding(level, code, text))
         self.wake()
 

@@ -118,9 +118,13 @@ class Listener:
     """
 
     deadline, soon = 10.0, 1.0  # s (tolerances, by hand: a phone in a poor network sends its headers within)
+    #: s that requests under way have to end in when the program ends (tolerance, by hand: one of 4 MB takes a tenth).
+    ending = 0.5
 
     def __init__(self, app: web.Application, connections: int, **options: Any) -> None:
-        self._runner = web.AppRunner(app, logger=_silent(), access_log=None, **options)
+        self._runner = web.AppRunner(
+            app, logger=_silent(), access_log=None, shutdown_timeout=self.ending, **options
+        )
         self._most = connections
         self._since: dict[asyncio.BaseProtocol, float] = {}
         self._known: set[asyncio.BaseProtocol] = set()
