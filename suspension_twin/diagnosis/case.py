@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.checks import LEAST_EXCITED, check_drive, check_on_road, check_recording
 from suspension_twin.calibration.presets import PART_KEYS, build_space, preset_named
+from suspension_twin.diagnosis.library import DECOYS, OF_PLACE
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive
@@ -32,6 +33,7 @@ from suspension_twin.inference.observation import (
     with_shown_errors,
 )
 from suspension_twin.inference.parallel import side_by_side
+from suspension_twin.inference.placement import in_reach, on_one_clock, place
 from suspension_twin.inference.problem import (
     Data,
     Interrupted,
@@ -123,6 +125,17 @@ class Case:
         return tuple(c for c in self.drives[0].usage.driven if c in self.channels)
 
     @property
+    def placed(self) -> bool:
+        """Whether a drive was placed on its road by what was felt: its place and its receiver's clock are nuisances."""
+        return any(d.reading is not None and d.settings.placed is not None for d in self.drives)
+
+    def named(self, effects: Sequence[str]) -> Sequence[str]:
+        """The effects that may be named: those that are asked for, else all that place and clock do not hide."""
+        if effects or not self.placed:
+            return effects
+        return [name for name in EFFECTS if name not in (*DECOYS, *OF_PLACE)]
+
+    @property
     def turn(self) -> Turn:
         """Mounting error of the sensor (roll, pitch, yaw; rad) that the drives with the gap show."""
         shown = [d.reading.shown for d, a in zip(self.drives, self.active, strict=True) if a and d.reading]
@@ -156,7 +169,10 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
             raise Interrupted
         observation = observe(recorded, twin, road, settings, strict=True)
         if twin.road is not None:
-            check_drive(observation)
+            check_drive(in_reach(observation))
+            observation = on_one_clock(observation)
+            where = place(observation, twin)
+            observation = observation if where is None else where.kept(observation)
         return with_shown_errors(observation)
 
     recordings = side_by_side(recording, bags, lambda _, bag: note(f"reading {Path(bag).name}"))
@@ -167,7 +183,11 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
             "the twin file names no road: only the planar channels are compared, and only effects of clock, sensor "
             "and mount can be judged"
         )
-    return Case(twin, tuple(drives), active, tuple(warnings))
+    case = Case(twin, tuple(drives), active, tuple(warnings))
+    if case.placed:
+        text = f"the receiver leaves place and time open: {', '.join(OF_PLACE)} are nuisances and cannot be named"
+        case = replace(case, warnings=(*case.warnings, text))
+    return case
 
 
 def _check(request: DiagnosisRequest, twin: Twin) -> None:
