@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """From the sample of an IMU to the frame of an engine that shows it, and how far from its true place a car is drawn.
 
-A driver publishes the samples of a car that goes straight on at a known speed, 100 a second, with the time of sending as
+A driver publishes the samples of a car that goes straight on at one speed, 100 a second, with the time of sending as
 their stamps; the four nodes answer in a process of their own; an engine draws at a rate of its own, as the example for
-CARLA in ``docs/engines.md`` does. The age of a frame is from the sample's stamp to the frame: what a picture is behind the
-sensor where poses are held. The place is that of the held pose and of the one carried on to the frame, against the true
-one. An engine's own time to draw comes on top of either.
+CARLA in ``docs/engines.md`` does. The age of a frame is from the sample's stamp to the frame: what a picture is behind
+the sensor where poses are held. The place is that of the held pose and of the one carried on to the frame, against the
+true one. An engine's own time to draw comes on top of either.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import json
 import sys
 import threading
 import time
+from typing import Any
 
 import live  # sets the ROS domain
 import numpy as np
@@ -42,7 +43,7 @@ class Engine:
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
 
-    def _take(self, message: live.Any) -> None:
+    def _take(self, message: Any) -> None:
         stamp, p, q = message.header.stamp, message.pose.position, message.pose.orientation
         self._held = p.x
         self._poses.push(stamp.sec + 1e-9 * stamp.nanosec, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
@@ -102,7 +103,9 @@ def main() -> int:
     if arguments.json:
         print(json.dumps(found))
         return 0
-    print(f"{found['frames']} frames, {arguments.rate:g} a second, at {3.6 * live.SPEED:g} km/h:       p50     p99")
+    print(
+        f"{found['frames']} frames, {arguments.rate:g} a second, at {3.6 * live.SPEED:g} km/h:       p50     p99"
+    )
     for name, text in (
         ("age_ms", "from a sample of the IMU to the frame, ms"),
         ("held_off_m", "off the car's place where poses are held, m"),

@@ -58,12 +58,19 @@ def drive_fits(setup: Setup, outcome: SearchOutcome, after: Twin, values: Floats
                 measured=dict(seen.measured),
                 before=sides[0],
                 after=sides[1],
+                received=_received(setup, number, given),
                 compared=_compared_mask(data, drive, number)
                 if setup.on_road
                 else np.ones(drive.t.size, dtype=np.bool_),
             )
         )
     return tuple(found)
+
+
+def _received(setup: Setup, number: int, drive: Observation) -> Floats | None:
+    """(m,) m along the road by the receiver, where a drive was placed."""
+    place = setup.placements[number] if setup.placements else None
+    return None if place is None else drive.displaced(place.t, -place.ahead, -place.left).position
 
 
 def _displaced(drive: Observation, outcome: SearchOutcome) -> Observation:

@@ -49,6 +49,7 @@ from suspension_twin.inference.space import Space
 from suspension_twin.models.excitation import coarser
 from suspension_twin.models.parameters import has_number, twin_value
 from suspension_twin.models.registry import model_of
+from suspension_twin.models.types import Excitation, RepeatedRun
 from suspension_twin.road import flat_road
 from suspension_twin.signals.common_rate import on_common_rate
 from suspension_twin.signals.filters import FilterSpec
@@ -69,6 +70,8 @@ _INACCURATE = 0.1
 _STEP = 2.5e-3
 #: Time step as a share of the period of a wheel on its tyre: 2.5 ms of 12 Hz.
 _OF_A_PERIOD = 0.03
+#: Corrections of a low-pass (numerics): at its cut-off, where half is passed, a sixteenth is left.
+_CORRECTIONS = 4
 #: Free beside the characteristics: parameters that no weighbridge measures.
 ALSO = (
     "vehicle.sprung_inertia.roll",
@@ -334,7 +337,8 @@ def _floors(problem: Problem) -> list[dict[str, float]]:
 def _repeated(case: Case, problem: Problem, x: Floats) -> Problem:
     """The problem of controlled runs whose expected discrepancy is the residual of their references.
 
-    A reference is no witness of itself: what is expected of it is what others of its program leave, or nothing. The
+    A reference is no witness of itself: what is expected of it is what others of its program leave, or nothing. It is
+    what the sensors of a rig saw (``RepeatedRun``), for an effect of a sensor acts on it as on the motion. The
     discrepancy of a sound vehicle is known, so the vehicle is held as the references show it. The model reproduces
     a change no better than the sound vehicle: half of its residual there is noise of the change. Beside it stands the
     scatter of repeats, which the references of one program show: one of n misses the mean of the others by
@@ -363,9 +367,26 @@ def _repeated(case: Case, problem: Problem, x: Floats) -> Problem:
     noise = Whitener.designed(measured, share, _floors(problem))
     twin = twin_of(problem, Fit(problem.hypothesis, x, 0.0))
     wander = [0.0] * len(case.drives)
+    before = [_run_before(p, e, data.channels) for p, e in zip(data.parts, expected, strict=True)]
+    expected = [e if p is b else None for p, b, e in zip(data.parts, before, expected, strict=True)]
+    data = replace(data, parts=tuple(before))
     fresh = drive_problem(twin, Space(twin, ()), data, problem.nuisances.priors, wander, problem.simulation)
     still = replace(fresh.likelihood, noise=noise, weight=effective_weight(noise), expected=tuple(expected))
     return replace(fresh, likelihood=still).with_still_references()
+
+
+def _run_before(part: Observation, expected: Floats | None, channels: Sequence[str]) -> Observation:
+    """A run on a rig with the discrepancy ``expected`` (m, C) in its excitation, as it was before the low-pass of the
+    comparison: found by repeated correction (van Cittert 1931). Other runs as they are."""
+    driven = part.excitation
+    if expected is None or not isinstance(driven, Excitation):
+        return part
+    stamps = driven.t - driven.t[0]
+    raw = np.zeros((stamps.size, len(channels)))
+    for _ in range(_CORRECTIONS):
+        left = expected - part.grid.apply(raw)
+        raw += np.stack([np.interp(stamps, part.t, column) for column in left.T], axis=1)
+    return replace(part, excitation=RepeatedRun(**vars(driven), channels=tuple(channels), missed=raw))
 
 
 def _many(problem: Problem, x: Floats) -> Sequence[Floats]:

@@ -13,6 +13,7 @@ from itertools import product
 from suspension_twin.effects.base import Effect
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.inference.hypothesis import Hypothesis
+from suspension_twin.vehicle.quarter_car import on_wheel
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["NUISANCE_COUNTERPART", "SETUP_CATEGORIES", "decoys", "library"]
@@ -75,4 +76,5 @@ def _offered(twin: Twin, excited: bool, names: Sequence[str], drives: int) -> di
         name: variants(effect.on(twin.model), twin, drives)
         for name, effect in EFFECTS.items()
         if twin.model in effect.models and (excited or name in WITHOUT_ROAD) and name in names
+        if not on_wheel(twin) or "msd" in effect.models
     }

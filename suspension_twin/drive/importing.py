@@ -9,6 +9,7 @@ from pathlib import Path
 
 from suspension_twin.drive.foreign_files import RecordedFiles
 from suspension_twin.drive.importers import read_source
+from suspension_twin.drive.importers.sensor_logger import is_database
 from suspension_twin.drive.mapping import BagSpec, load_mapping, read_mapped, read_mapped_rig
 from suspension_twin.drive.read import Topics, read_drive
 from suspension_twin.drive.recording import is_recording
@@ -95,7 +96,7 @@ def import_drive(
             raise InputError(str(mapping), "rig", "maps a run of a rig: import it to a .csv file")
         if spec is not None and spec.bag is not None:
             return _mapped_bag(Path(paths[0]), spec.bag, spec.name)
-        if spec is None and (bags := [path for path in paths if is_recording(path)]):
+        if spec is None and (bags := [p for p in paths if is_recording(p) and not _is_export(p)]):
             if len(paths) > 1:
                 raise InputError(bags[0], "is a recording of its own: import it alone")
             return _bag(bags[0], topics or Topics())
@@ -107,6 +108,11 @@ def import_drive(
         name = spec.name if spec is not None and spec.name else recordings[0].name
         drive, notes = assemble(streams, name, files)
         return Imported(drive, streams.origin, tuple(notes))
+
+
+def _is_export(path: str | Path) -> bool:
+    """Whether a database is that of an app, not a bag."""
+    return Path(path).is_file() and is_database(RecordedFiles(path))
 
 
 def import_rig(paths: Sequence[str | Path], mapping: str | Path) -> RigRecord:

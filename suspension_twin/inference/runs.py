@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 from suspension_twin.arrays import Floats
-from suspension_twin.drive.rig import RigRecord, read_rig, write_rig
+from suspension_twin.drive.rig import RigRecord, driven_by_wheel, read_rig, write_rig
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.files import together
 from suspension_twin.inference.gap import Comparison, Gap, write_gap
@@ -27,6 +27,7 @@ from suspension_twin.inference.nuisance import OF_A_RIG, OF_A_RUN, NuisancePrior
 from suspension_twin.inference.observation import Grid, Observation, Usage, renamed
 from suspension_twin.models.excitation import MAX_STEP, MOTION, excitation
 from suspension_twin.models.parameters import pack
+from suspension_twin.models.quarter_car import ABOVE_WHEEL
 from suspension_twin.models.registry import model_of
 from suspension_twin.models.simulate import simulate_lanes, simulate_twin
 from suspension_twin.models.tracked import ObstacleRun
@@ -37,6 +38,7 @@ from suspension_twin.signals.common_rate import PER_PERIOD
 from suspension_twin.signals.conditioner import Conditioner
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.signals.noise_floor import spectral_floor
+from suspension_twin.vehicle.quarter_car import on_wheel
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = [
@@ -268,9 +270,22 @@ class SimulatedRun(Comparison):
             write_gap(self.as_dict(), folder)
 
 
+def input_of(twin: Twin, record: RigRecord) -> RigRecord:
+    """A run with what drives the twin as its road: the road, or the measured motion of the wheel."""
+    if not on_wheel(twin) and not {"road_displacement", "road_velocity"} & set(record.columns):
+        raise InputError(record.name, "has no road: the twin file has to say excitation: wheel")
+    return driven_by_wheel(record) if on_wheel(twin) else record
+
+
+def channels_of(twin: Twin) -> tuple[str, ...]:
+    """Channels of a rig that a twin simulates."""
+    return ABOVE_WHEEL if on_wheel(twin) else model_of(twin).channels
+
+
 def simulate_rig(record: RigRecord, twin: Twin) -> SimulatedRun:
     """Simulate ``twin`` over a run and measure the gap; raises as :func:`observe_rig` and ``simulate_twin`` do."""
-    observation = observe_rig(record, model_of(twin).channels)
+    record = input_of(twin, record)
+    observation = observe_rig(record, channels_of(twin))
     response = simulate_lanes(twin, pack(twin)[:, None], observation.excitation)
     if response.failed[0]:
         simulate_twin(twin, observation.road_excitation)  # says why
@@ -328,9 +343,9 @@ def _rig(twin: Twin, paths: Sequence[str]) -> list[Observation]:
     found: list[Observation] = []
     programs: list[Excitation] = []
     known: list[Excitation] = []
-    channels = model_of(twin).channels
+    channels = channels_of(twin)
     for path in paths:
-        one = observe_rig(_on_coarse_stamps(read_rig(path), channels), channels)
+        one = observe_rig(_on_coarse_stamps(input_of(twin, read_rig(path)), channels), channels)
         driven = one.excitation
         assert isinstance(driven, Excitation)
         program = next(

@@ -203,8 +203,7 @@ FILTER = (
 
 
 class NamedTwin(NamedTuple):
-    """What a path that somebody names stands for: the twin, the road that it drives on, and the residual of its
-    calibration."""
+    """The twin behind a path that somebody names, the road that it drives on, and the residual of its calibration."""
 
     twin: Twin
     road: Road | None
@@ -243,7 +242,7 @@ def _road_of(path: str, twin: Twin) -> Road:
 
 
 def named_twin(values: Values) -> NamedTwin | None:
-    """What :func:`read_named` has read for the parameter ``twin``."""
+    """The files of the parameter ``twin``, where :func:`read_named` has read them."""
     return _NAMED.get(values["twin"])
 
 

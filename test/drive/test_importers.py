@@ -7,9 +7,11 @@ import contextlib
 import json
 import re
 import shutil
+import sqlite3
 import sys
 import zipfile
 from collections.abc import Callable
+from contextlib import closing
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -232,6 +234,42 @@ def test_sensor_logger_json_of_strings(platform: str, tmp_path: Path) -> None:
     path = tmp_path / "rec.json"
     path.write_text(json.dumps(sensor_logger_json(platform)))
     check(path)
+
+
+def sensor_logger_database(path: Path, platform: str) -> None:
+    """A table of texts for each sensor, in no order, beside one of the app's own."""
+    by_sensor: dict[str, list[dict[str, str]]] = {}
+    for record in sensor_logger_json(platform):
+        by_sensor.setdefault(record["sensor"], []).append(record)
+    with closing(sqlite3.connect(path)) as database:
+        database.execute("CREATE TABLE Annotation (time, seconds_elapsed, text)")
+        for sensor, rows in by_sensor.items():
+            names = [name for name in rows[0] if name != "sensor"]
+            database.execute(f"CREATE TABLE {sensor} ({', '.join(names)})")
+            marks = ", ".join("?" * len(names))
+            database.executemany(
+                f"INSERT INTO {sensor} VALUES ({marks})", [[row[n] for n in names] for row in rows]
+            )
+        database.commit()
+
+
+@pytest.mark.parametrize("platform", ["android", "ios"])
+def test_sensor_logger_database(platform: str, tmp_path: Path) -> None:
+    path = tmp_path / "rec.sqlite"
+    sensor_logger_database(path, platform)
+    check(path)
+
+
+def test_a_database_whose_tables_are_computed_is_not_waited_for(tmp_path: Path) -> None:
+    path = tmp_path / "rec.sqlite"
+    with closing(sqlite3.connect(path)) as database:
+        database.execute(
+            "CREATE VIEW Gyroscope AS WITH RECURSIVE n(time) AS (SELECT 1 UNION ALL SELECT time + 1 FROM n) "
+            "SELECT time, time AS seconds_elapsed, 0 AS x, 0 AS y, 0 AS z FROM n"
+        )
+        database.commit()
+    with pytest.raises(InputError):
+        import_drive([path])
 
 
 def test_sensor_logger_json_that_is_cut_off(tmp_path: Path) -> None:

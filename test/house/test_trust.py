@@ -81,6 +81,7 @@ HARMLESS = {
         "h5py.File(path)",
         "matio.load_from_mat(path)",
     ),  # a copy, in a child
+    "drive/importers/sensor_logger.py": ("sqlite3.connect(uri",),  # what open_file() has looked at
     "drive/recording.py": (
         "Ros1Reader(path)",  # what open_file() has looked at
         "reader.open()",

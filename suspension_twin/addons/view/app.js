@@ -189,7 +189,8 @@ function showTravel(joints) {
   state.scene.wheels.forEach((wheel, i) => {
     const box = $("travel").children[i], d = (joints[i] - wheel.standing) * (wheel.kind === "prismatic" ? 1000 : 180 / Math.PI);
     if (!box || !Number.isFinite(d)) return;
-    box.querySelector("b").textContent = (d > 0 ? "+" : "") + d.toFixed(wheel.kind === "prismatic" ? 0 : 1);
+    const text = d.toFixed(wheel.kind === "prismatic" ? 0 : 1);
+    box.querySelector("b").textContent = +text === 0 ? "0" : d > 0 ? `+${text}` : text;
     const share = Math.min(Math.abs(d) / (wheel.kind === "prismatic" ? 80 : 25), 1) * 50, bar = box.querySelector("i");
     bar.style.left = `${d > 0 ? 50 : 50 - share}%`;
     bar.style.width = `${share}%`;

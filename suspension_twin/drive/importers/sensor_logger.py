@@ -1,29 +1,36 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sensor Logger (Android and iOS): its zip or folder of CSV files, one CSV of all sensors, or its JSON export.
+"""Sensor Logger (Android and iOS): its zip or folder of CSV files, one CSV of all sensors, its JSON or SQLite export.
 
 Sources: UNITS.md, COORDINATES.md, CROSSPLATFORM.md and README.md of tszheichoi/awesome-sensor-logger.
 ``time`` is ns since the epoch. Columns come in the order z, y, x: they are read by name. iOS has all
 three accelerometer axes (and gravity's) negated against Android, unless "Standardise Units & Frames"
 was on; the gyroscope is the same on both. ``TotalAcceleration`` (Android) includes gravity;
 ``Accelerometer`` does not, so that without the former the sum with ``Gravity`` is taken. Values of
-the JSON export are strings. In one CSV of all sensors the columns are ``gyroscope_x``, ``location_speed``.
+the JSON export are strings. In one CSV of all sensors the columns are ``gyroscope_x``, ``location_speed``. The database
+has a table for each sensor, of the columns of its CSV file.
 """
 
 from __future__ import annotations
 
 import json
+import sqlite3
 from collections import defaultdict
 from collections.abc import Collection
+from contextlib import closing
 from dataclasses import replace
+from pathlib import Path
 from typing import Final
+from urllib.parse import quote
 
 import numpy as np
 
 from suspension_twin.drive.foreign_files import DataTable, RecordedFiles, read_table
+from suspension_twin.drive.salvage import SQLITE_MAGIC
 from suspension_twin.drive.streams import Series, Streams, phone_fix
+from suspension_twin.drive.unpack import Budget
 from suspension_twin.errors import InputError
 
-__all__ = ["IOS_FORCE_SIGN", "TITLE", "force_sensors", "read", "recognises"]
+__all__ = ["IOS_FORCE_SIGN", "TITLE", "force_sensors", "is_database", "read", "recognises"]
 
 TITLE = "Sensor Logger"
 
@@ -44,6 +51,8 @@ _FORCE_CHOICES: Final = (
     ("accelerometer", "gravity"),
     ("accelerometeruncalibrated",),
 )
+#: Bytes of memory that a text takes beside its characters.
+_VALUE: Final = 64
 #: On iOS the three axes of accelerometer and gravity are negated, unless they are standardised.
 IOS_FORCE_SIGN: Final = -1.0
 
@@ -54,12 +63,22 @@ def force_sensors(present: Collection[str]) -> tuple[str, ...]:
 
 
 def recognises(source: RecordedFiles) -> bool:
-    """CSV files with its columns, or a JSON array of its records."""
+    """CSV files or tables with its columns, or a JSON array of its records."""
+    if is_database(source):
+        return True
     for sensor in ("TotalAcceleration", "Accelerometer", "Gyroscope"):
         name = source.find(f"{sensor}.csv")
         if name is not None and b"seconds_elapsed" in source.head(name):
             return True
     return any(_is_export(source, name) or _is_combined(source, name) for name in source.names[:20])
+
+
+def is_database(source: RecordedFiles) -> bool:
+    """Whether it is one database in whose schema, on the first pages, stands a column that the app alone has."""
+    if len(source.names) != 1 or source.path.is_dir():
+        return False
+    head = source.head(source.names[0], 1 << 20)
+    return head.startswith(SQLITE_MAGIC) and b"seconds_elapsed" in head
 
 
 def _is_combined(source: RecordedFiles, name: str) -> bool:
@@ -104,6 +123,8 @@ def read(source: RecordedFiles) -> Streams:
 
 
 def _tables(source: RecordedFiles) -> dict[str, DataTable]:
+    if is_database(source):
+        return _database_tables(source.path)
     export = next((name for name in source.names if _is_export(source, name)), None)
     if export is not None and source.find("Gyroscope.csv") is None:
         return _json_tables(source, export)
@@ -140,6 +161,32 @@ def _combined_tables(source: RecordedFiles, name: str) -> dict[str, DataTable]:
             tables[sensor] = DataTable(whole.label, ["time", *own], values=values[some])
     if tables:
         next(iter(tables.values())).warnings += whole.warnings
+    return tables
+
+
+def _database_tables(path: Path) -> dict[str, DataTable]:
+    """The tables of the sensors, of those that are stored: reading what is computed may never end."""
+    budget, tables = Budget(path, path.stat().st_size), {}
+    uri = f"file:{quote(str(path.resolve()))}?immutable=1"
+    with closing(sqlite3.connect(uri, uri=True)) as database:
+        stored = {
+            str(name).casefold(): str(name)
+            for (name,) in database.execute(
+                "SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0"
+            )
+        }
+        for sensor in _SENSORS:
+            name = stored.get(sensor.casefold())
+            if name is None or any(c[6] for c in database.execute(f"PRAGMA table_xinfo('{name}')")):
+                continue
+            found = database.execute(f"SELECT * FROM '{name}'")
+            rows = []
+            for row in found:
+                rows.append(tuple("" if value is None else str(value) for value in row))
+                budget.take(sum(map(len, rows[-1])) + _VALUE * len(row))
+            if rows:
+                names = [str(column[0]) for column in found.description]
+                tables[sensor] = DataTable(f"{path}: {name}", names, list(zip(*rows, strict=True)))
     return tables
 
 

@@ -44,7 +44,7 @@ def asked(server: FleetServer, path: str, name: str | None = None, token: str = 
 
 
 def test_the_list_says_how_every_twin_is(server):
-    server.update({"b": {"rate": 100.0, "gap": 0.2, "normalised": None, "text": "", "failing": False}})
+    server.update({"b": {"rate": 100.0, "gap": "0.20 m/s²", "text": "", "failing": False}})
     status, text = asked(server, "/twins")
     assert status == 200
     assert text.startswith('[{"name": "a"}, {"name": "b", "rate": 100.0')

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stand-in for CARLA's Python module: the names that a mirror of the twin needs, and a world that draws by itself.
 
-A transform is seen from the next frame on, as in CARLA. What was drawn is written to the file that the environment
-variable ``CARLA_STAND_IN`` names when the vehicle is destroyed: a row of wall time, location and rotation for each frame.
+A transform is seen from the next frame on, as in CARLA. When the vehicle is destroyed, all that was drawn is written to
+the file that the environment variable ``CARLA_STAND_IN`` names: a row of wall time, location and rotation a frame.
 """
 
 from __future__ import annotations

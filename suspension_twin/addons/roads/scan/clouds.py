@@ -8,6 +8,7 @@ the twin's datum take a cloud's own coordinates to ``map``.
 from __future__ import annotations
 
 import math
+import os
 import re
 import struct
 from collections.abc import Callable, Iterator
@@ -15,7 +16,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
 import numpy as np
 
@@ -36,6 +37,8 @@ __all__ = ["SCAN_UNITS", "Cloud", "Georeference", "georeference_of", "open_cloud
 SCAN_UNITS: dict[str, float] = {**{k: UNITS[k] for k in ("m", "cm", "mm", "ft")}, "us-ft": 1200.0 / 3937.0}
 #: Points in a piece: 24 MB of coordinates.
 _PIECE = 1_000_000
+#: Bytes of a line of a header.
+_LINE = 4096
 #: Added to the format of a point where points are compressed.
 _COMPRESSED = 128
 #: ASPRS classes of points that are no surface: noise low and high (LAS 1.4, table 17).
@@ -184,8 +187,38 @@ def _las(path: Path) -> Cloud:
     return Cloud(path, count, crs, pieces)
 
 
+#: Bytes of the types of a PLY file.
+_SIZES: Final = {
+    **dict.fromkeys((b"char", b"uchar", b"int8", b"uint8"), 1),
+    **dict.fromkeys((b"short", b"ushort", b"int16", b"uint16"), 2),
+    **dict.fromkeys((b"int", b"uint", b"int32", b"uint32", b"float", b"float32"), 4),
+    **dict.fromkeys((b"double", b"float64"), 8),
+}
+
+
+def _check_declared(path: Path, file: BinaryIO) -> None:
+    """Raise InputError where the header of a PLY file declares more elements than can stand below it: the library makes
+    room for them first."""
+    count = least = 0
+    ascii_ = False
+    for line in iter(lambda: file.readline(_LINE).split(), [b"end_header"]):
+        if line[:1] == [b"format"]:
+            ascii_ = line[1:2] == [b"ascii"]
+        elif line[:1] == [b"element"]:
+            count = max(int(line[2]), 0)
+        elif line[:1] == [b"property"]:
+            least += count * (2 if ascii_ else _SIZES[line[2] if line[1] == b"list" else line[1]])
+        elif not line and not file.peek(1):  # type: ignore[attr-defined]
+            break
+    there = os.fstat(file.fileno()).st_size - file.tell()
+    if least > there + 1:
+        raise InputError(path, f"is cut off: {there} bytes are there of {least} or more")
+    file.seek(0)
+
+
 def _ply(path: Path) -> Cloud:
     with open_file(path) as file:
+        _check_declared(path, file)
         data = _optional(path, "plyfile", "plyfile").PlyData.read(file, mmap="c")
     if "vertex" not in data:
         raise InputError(path, "has no element 'vertex'")

@@ -314,6 +314,15 @@ def test_a_section_and_another_unit_are_taken(truth: Road) -> None:
         ("a.xyz", "1 2 3\n1 2\n", "no point"),
         ("a.xyz", "1 2 3\n1 2 x\n", "no point: could not convert string 'x'"),
         ("a.las", "LASF and no more", "is cut off in its header"),
+        *(
+            (
+                "a.ply",
+                f"ply\nformat {form} 1.0\nelement {name} 2000000000\nproperty {kind} x\nend_header\n1 2\n",
+                "bytes are there of",
+            )
+            for form in ("ascii", "binary_little_endian")
+            for name, kind in (("face", "list uint int"), ("vertex", "double"))
+        ),
         ("a.ply", "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n", "x, y and z"),
     ],
 )
