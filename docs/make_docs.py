@@ -45,7 +45,10 @@ CARRIES = {
         "`imu.frame` of the twin file",
         "specific force m/s², angular rate rad/s, the sensor's axes",
     ),
-    "imu/data": (_BASE, "specific force m/s² and angular rate rad/s without biases, low-passed, gravity kept"),
+    "imu/data": (
+        _BASE,
+        "specific force m/s² and angular rate rad/s without biases, low-passed, gravity kept",
+    ),
     "imu/vertical_acceleration": (_BASE, "`accel.linear.z` m/s², gravity removed, low-passed"),
     "fix": (
         "`gps.frame` of the twin file",
@@ -236,7 +239,8 @@ def topics() -> str:
             for topic, kind in of[way]:
                 kinds[topic] = kind
                 ends.setdefault(topic, ([], []))[side].append(name)
-    inputs, outputs = [], []
+    inputs: list[str] = []
+    outputs: list[str] = []
     for topic, kind in kinds.items():
         into, out = (", ".join(f"`{n}`" for n in names) for names in ends[topic])
         frame, content = CARRIES[topic.removeprefix("/")]
