@@ -45,21 +45,24 @@ CARRIES = {
         "`imu.frame` of the twin file",
         "specific force m/s², angular rate rad/s, the sensor's axes",
     ),
-    "imu/data": (_BASE, "the same without biases, low-passed, gravity kept: m/s², rad/s"),
+    "imu/data": (
+        _BASE,
+        "specific force m/s² and angular rate rad/s without biases, low-passed, gravity kept",
+    ),
     "imu/vertical_acceleration": (_BASE, "`accel.linear.z` m/s², gravity removed, low-passed"),
     "fix": (
         "`gps.frame` of the twin file",
         "latitude and longitude in degrees, altitude in m (WGS 84), covariance m²",
     ),
-    "vel": ("any", "`twist.linear` m/s: x east, y north, z up"),
-    "heading": ("any", "optional; yaw of the vehicle from east, counter-clockwise"),
+    "vel": ("any frame", "`twist.linear` m/s: x east, y north, z up"),
+    "heading": ("any frame", "optional; yaw of the vehicle from east, counter-clockwise"),
     "odom": (
         "`map`, child `base_link` or a sensor's",
         "in place of `fix`, `vel` and `heading`: pose m, speeds m/s in the child's axes; covariances",
     ),
     "pose": ("`map`", "in place of `fix`: `base_link` in a game engine or a motion capture, m"),
-    "transform": ("`map`, child `base_link` or a sensor's", "the same as a transform"),
-    "fix_velocity": ("any", "in place of `vel`: m/s, x east, y north; covariance"),
+    "transform": ("`map`, child `base_link` or a sensor's", "in place of `fix`, as a transform"),
+    "fix_velocity": ("any frame", "in place of `vel`: m/s, x east, y north; covariance"),
     "twin/odom": (
         "`map`, child `base_link`",
         "pose m and speed m/s, locked to the vehicle in x, y and yaw; covariance, along the road that of a felt place",
@@ -226,7 +229,7 @@ def nodes() -> str:
 
 
 def topics() -> str:
-    """Every topic with its type and the nodes at both of its ends."""
+    """Every topic with its type, the nodes at both of its ends, its frame, and its content; inputs first."""
     kinds: dict[str, str] = {}
     latched: set[str] = set()
     ends: dict[str, tuple[list[str], list[str]]] = {}
@@ -236,15 +239,21 @@ def topics() -> str:
             for topic, kind in of[way]:
                 kinds[topic] = kind
                 ends.setdefault(topic, ([], []))[side].append(name)
-    rows = []
+    inputs: list[str] = []
+    outputs: list[str] = []
     for topic, kind in kinds.items():
         into, out = (", ".join(f"`{n}`" for n in names) for names in ends[topic])
-        sensor = out in ("", "`source`")
         frame, content = CARRIES[topic.removeprefix("/")]
-        content += "; latched" if topic in latched else ""
-        ends_of = f"{'sensors, `source`' if sensor else out} → {into or 'you'}"
-        rows.append([_topic(topic), f"`{kind.replace('/msg', '')}`", ends_of, frame, content])
-    return table(["topic", "type", "from → to", "frame", "content and units"], rows)
+        way = f" → {into}" if out in ("", "`source`") else f", {out}{' → ' + into if into else ''}"
+        said = (
+            f"- {_topic(topic)} `{kind.replace('/msg', '')}`{way}{', latched' if topic in latched else ''}. "
+        )
+        (inputs if out in ("", "`source`") else outputs).append(
+            f"{said}{frame + ': ' if frame else ''}{content}\n"
+        )
+    return (
+        f"\nFrom sensors, or the node `source`:\n\n{''.join(inputs)}\nFrom the nodes:\n\n{''.join(outputs)}\n"
+    )
 
 
 def calls() -> str:
