@@ -7,7 +7,6 @@ A row has the dotted key that it has in the twin file: ``vehicle.mass``,
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -165,43 +164,8 @@ class ParameterLayout:
         return effect if part is None else part.values(numbers, effect)
 
 
-@dataclass(frozen=True, eq=False)
-class _Numbers:
-    """The numbers of a twin, found once: thousands of batches of candidates differ from one twin."""
-
-    twin: Twin
-
-    @cached_property
-    def layout(self) -> ParameterLayout:
-        return _layout(self.twin)
-
-    @cached_property
-    def values(self) -> Floats:
-        """(P,) in the order of the layout."""
-        effects = _of_effects(self.twin)
-        known = [effects[key] if key in effects else value_at(self.twin, key) for key in self.layout.names]
-        return np.array(known, dtype=np.float64)
-
-
-#: Of the last twins.
-_latest: deque[_Numbers] = deque(maxlen=8)
-
-
-def _numbers(twin: Twin) -> _Numbers:
-    for known in tuple(_latest):
-        if known.twin is twin:
-            return known
-    own = _Numbers(twin)
-    _latest.append(own)
-    return own
-
-
 def layout(twin: Twin) -> ParameterLayout:
     """The layout of this twin's parameter vector."""
-    return _numbers(twin).layout
-
-
-def _layout(twin: Twin) -> ParameterLayout:
     model = model_of(twin)
     names = list(model.numbers(twin))
     known = set(names)
@@ -255,7 +219,10 @@ def has_number(twin: Twin, key: str) -> bool:
 
 def pack(twin: Twin) -> Floats:
     """(P,) the twin's numbers in the order of ``layout(twin).names``, SI units."""
-    return _numbers(twin).values.copy()
+    names, effects = layout(twin).names, _of_effects(twin)
+    return np.array(
+        [effects[key] if key in effects else value_at(twin, key) for key in names], dtype=np.float64
+    )
 
 
 def lanes(twin: Twin, keys: Sequence[str], values: Floats) -> Floats:

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from suspension_twin.errors import InputError
-from suspension_twin.models.parameters import Parameter, Prior, layout, pack
-from suspension_twin.vehicle.twin import Twin
+from suspension_twin.models.parameters import Parameter, Prior
 
 OFFSET = Parameter("offset", (-2.0, 2.0), Prior(0.1, 0.05), "s")
 CUTOFF = Parameter("cutoff", (0.5, 500.0), Prior(15.0, 2.0, "factor"), "Hz")
@@ -59,12 +58,3 @@ def test_a_value_out_of_bounds_or_choices_is_refused_by_name(parameter: Paramete
     assert parameter.check("some_effect", parameter.neutral) == parameter.neutral
     with pytest.raises(InputError, match=rf"some_effect\.{parameter.name}"):
         parameter.check("some_effect", value)
-
-
-def test_numbers_that_were_packed_are_the_callers(mondeo: Twin) -> None:
-    first = pack(mondeo)
-    first[:] = np.nan
-    assert np.isfinite(pack(mondeo)).all()
-    other = mondeo.with_changes({"vehicle.mass": 1.1 * mondeo.vehicle.mass})
-    row = layout(other).index["vehicle.mass"]
-    assert pack(other)[row] == pytest.approx(1.1 * pack(mondeo)[row])
