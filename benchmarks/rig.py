@@ -40,6 +40,7 @@ from scipy.signal import butter, lfilter, sosfilt, sosfilt_zi
 
 from suspension_twin.calibration.request import CalibrationRequest
 from suspension_twin.calibration.run import calibrate
+from suspension_twin.diagnosis.case import SHORTEST
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.diagnosis.run import diagnose
 from suspension_twin.drive.rig import RigRecord, read_rig, write_rig
@@ -377,8 +378,8 @@ SEEDED: dict[str, Callable[[RigRecord], RigRecord]] = {
 
 
 def repeated(out: Path, seed: int, seconds: float) -> list[Path]:
-    """Three runs of two programs of the corner each."""
-    paths = []
+    """Three runs of two programs of the corner each, long enough for a diagnosis to hold some of them out."""
+    paths, seconds = [], max(seconds, SHORTEST + 2.0)
     for program, kind in enumerate(("sweep", "random")):
         for number in range(3):
             rng = np.random.default_rng([seed, program, number])

@@ -26,7 +26,7 @@ try:  # ten times as fast, with a limit to nesting
 except ImportError:  # PyYAML was built without libyaml
     from yaml import SafeLoader  # type: ignore[assignment]
 
-from suspension_twin.errors import InputError, SuspensionTwinError, WorkError, printable
+from suspension_twin.errors import InputError, SuspensionTwinError, WorkError, printable, shown
 
 __all__ = [
     "NO_SPACE",
@@ -141,6 +141,8 @@ def reader(kind: str) -> Callable[[Callable[P, Read]], Callable[P, Read]]:
 
 
 def _damaged(kind: str, error: Exception) -> str:
+    if isinstance(error, KeyError) and error.args and isinstance(error.args[0], str):
+        return f"is not {kind} that can be read: {shown(error.args[0])} is missing"
     return f"is not {kind} that can be read: cut off or damaged ({type(error).__name__})"
 
 

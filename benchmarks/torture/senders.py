@@ -37,7 +37,19 @@ _WORDS = (
     *("", "nan", "inf", "-1", "999999", "1e400", "9" * 40, "N", "Z", "246060.5", "235960.99", "4807.038"),
     *("A", "310299", "000000"),
 )
-_VALUES = (None, "x", 1e308, -1, [], {}, "2024-01-01T00:00:00Z", "9999-12-31T23:59:60Z", 10**400, True, 47.0)
+_VALUES: tuple[object, ...] = (
+    None,
+    "x",
+    1e308,
+    -1,
+    [],
+    {},
+    "2024-01-01T00:00:00Z",
+    "9999-12-31T23:59:60Z",
+    10**400,
+    True,
+    47.0,
+)
 
 
 def _frame(kind: bytes, payload: bytes) -> bytes:
@@ -53,8 +65,8 @@ def _nearly(scheme: str, rng: np.random.Generator) -> bytes:
     if scheme == "ubx":
         payload = bytearray(rng.bytes(92))
         payload[11] |= 7  # time and date are valid
-        kind = bytes([1, int(rng.choice([0x07, 0x14, 0x3C]))])
-        return _frame(kind, bytes(payload[: int(rng.choice([0, 36, 64, 92]))]))
+        message = bytes([1, int(rng.choice([0x07, 0x14, 0x3C]))])
+        return _frame(message, bytes(payload[: int(rng.choice([0, 36, 64, 92]))]))
     if scheme in ("nmea", "ntrip"):
         fields = rng.choice(_WORDS, int(rng.choice([0, 1, 9, 14, 30])))
         text = ",".join([f"GP{rng.choice(['GGA', 'RMC', 'GST', 'HDT', 'THS'])}", *fields])

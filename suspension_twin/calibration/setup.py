@@ -34,7 +34,7 @@ from suspension_twin.inference.observation import (
     renamed,
     road_of,
 )
-from suspension_twin.inference.placement import Placement, is_open, on_one_clock, place
+from suspension_twin.inference.placement import Placement, in_reach, is_open, on_one_clock, place
 from suspension_twin.inference.priors import SINGLE
 from suspension_twin.inference.problem import Data, Interrupted, Likelihood, Problem, Simulation
 from suspension_twin.inference.runs import is_actuated, observe_runs
@@ -155,7 +155,7 @@ def observe_checked(
     # a turn of the sensor that the twin has as an effect is calibrated; one that it has not bends everything else
     refused = ("facing",) if SensorCorrection.of_twin(twin).turn is None else ()
     observation = observe(drive, twin, road, settings, strict=True, refused=refused)
-    check_drive(observation)
+    check_drive(in_reach(observation))
     return observation
 
 

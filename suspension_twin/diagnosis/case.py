@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.checks import LEAST_EXCITED, check_drive, check_on_road, check_recording
 from suspension_twin.calibration.presets import PART_KEYS, build_space, preset_named
+from suspension_twin.diagnosis.library import DECOYS, OF_PLACE
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive
@@ -32,6 +33,7 @@ from suspension_twin.inference.observation import (
     with_shown_errors,
 )
 from suspension_twin.inference.parallel import side_by_side
+from suspension_twin.inference.placement import in_reach, on_one_clock, place
 from suspension_twin.inference.problem import (
     Data,
     Interrupted,
@@ -46,8 +48,9 @@ from suspension_twin.inference.runs import observe_runs, repeats
 from suspension_twin.inference.sensor_correction import Turn
 from suspension_twin.inference.smooth_space import smooth_space
 from suspension_twin.inference.space import Space
+from suspension_twin.models.constants import Conditions, outside
 from suspension_twin.models.excitation import coarser
-from suspension_twin.models.parameters import has_number, twin_value
+from suspension_twin.models.parameters import has_number, layout, pack, twin_value
 from suspension_twin.models.registry import model_of
 from suspension_twin.models.types import Excitation, RepeatedRun
 from suspension_twin.road import flat_road
@@ -122,6 +125,17 @@ class Case:
         return tuple(c for c in self.drives[0].usage.driven if c in self.channels)
 
     @property
+    def placed(self) -> bool:
+        """Whether a drive was placed on its road by what was felt: its place and its receiver's clock are nuisances."""
+        return any(d.reading is not None and d.settings.placed is not None for d in self.drives)
+
+    def named(self, effects: Sequence[str]) -> Sequence[str]:
+        """The effects that may be named: those that are asked for, else all that place and clock do not hide."""
+        if effects or not self.placed:
+            return effects
+        return [name for name in EFFECTS if name not in (*DECOYS, *OF_PLACE)]
+
+    @property
     def turn(self) -> Turn:
         """Mounting error of the sensor (roll, pitch, yaw; rad) that the drives with the gap show."""
         shown = [d.reading.shown for d, a in zip(self.drives, self.active, strict=True) if a and d.reading]
@@ -155,7 +169,10 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
             raise Interrupted
         observation = observe(recorded, twin, road, settings, strict=True)
         if twin.road is not None:
-            check_drive(observation)
+            check_drive(in_reach(observation))
+            observation = on_one_clock(observation)
+            where = place(observation, twin)
+            observation = observation if where is None else where.kept(observation)
         return with_shown_errors(observation)
 
     recordings = side_by_side(recording, bags, lambda _, bag: note(f"reading {Path(bag).name}"))
@@ -166,7 +183,11 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
             "the twin file names no road: only the planar channels are compared, and only effects of clock, sensor "
             "and mount can be judged"
         )
-    return Case(twin, tuple(drives), active, tuple(warnings))
+    case = Case(twin, tuple(drives), active, tuple(warnings))
+    if case.placed:
+        text = f"the receiver leaves place and time open: {', '.join(OF_PLACE)} are nuisances and cannot be named"
+        case = replace(case, warnings=(*case.warnings, text))
+    return case
 
 
 def _check(request: DiagnosisRequest, twin: Twin) -> None:
@@ -356,10 +377,12 @@ def _repeated(case: Case, problem: Problem, x: Floats) -> Problem:
             np.stack([np.interp(part.t, data.parts[j].t, c) for c in missed[ends[j] : ends[j + 1]].T], axis=1)
             for j in same
         ]
-        expected.append(np.mean(off, axis=0) if off else None)
-        if off and number in quiet:
-            own, others = slice(ends[number], ends[number + 1]), expected[-1][data.rows[number]]
-            scatter[own] = np.sqrt(1.0 - (len(off) + 1) ** -2.0) * (missed[own] - others)
+        others = np.mean(off, axis=0) if off else None
+        expected.append(others)
+        if others is not None and number in quiet:
+            own = slice(ends[number], ends[number + 1])
+            scale = np.sqrt(1.0 - (len(off) + 1) ** -2.0)
+            scatter[own] = scale * (missed[own] - others[data.rows[number]])
             again.append(number)
     share = _DOUBT * shares(measured, missed, quiet)
     if again:
@@ -367,7 +390,7 @@ def _repeated(case: Case, problem: Problem, x: Floats) -> Problem:
     noise = Whitener.designed(measured, share, _floors(problem))
     twin = twin_of(problem, Fit(problem.hypothesis, x, 0.0))
     wander = [0.0] * len(case.drives)
-    before = [_run_before(p, e, data.channels) for p, e in zip(data.parts, expected, strict=True)]
+    before = [_run_before(twin, p, e, data.channels) for p, e in zip(data.parts, expected, strict=True)]
     expected = [e if p is b else None for p, b, e in zip(data.parts, before, expected, strict=True)]
     data = replace(data, parts=tuple(before))
     fresh = drive_problem(twin, Space(twin, ()), data, problem.nuisances.priors, wander, problem.simulation)
@@ -375,17 +398,21 @@ def _repeated(case: Case, problem: Problem, x: Floats) -> Problem:
     return replace(fresh, likelihood=still).with_still_references()
 
 
-def _run_before(part: Observation, expected: Floats | None, channels: Sequence[str]) -> Observation:
-    """A run on a rig with the discrepancy ``expected`` (m, C) in its excitation, as it was before the low-pass of the
-    comparison: found by repeated correction (van Cittert 1931). Other runs as they are."""
+def _run_before(
+    twin: Twin, part: Observation, expected: Floats | None, channels: Sequence[str]
+) -> Observation:
+    """A run on a rig with the discrepancy ``expected`` (m, C) in its excitation, as it was before the clock of the twin
+    and the low-pass of the comparison: found by repeated correction (van Cittert 1931). Other runs as they are."""
     driven = part.excitation
     if expected is None or not isinstance(driven, Excitation):
         return part
-    stamps = driven.t - driven.t[0]
+    clock = outside(pack(twin)[:, None], layout(twin), Conditions.of(driven)).clock
+    stamps, late = driven.t - driven.t[0], 0.0 if clock is None else float(clock.delay[0])
     raw = np.zeros((stamps.size, len(channels)))
     for _ in range(_CORRECTIONS):
-        left = expected - part.grid.apply(raw)
-        raw += np.stack([np.interp(stamps, part.t, column) for column in left.T], axis=1)
+        read = np.stack([np.interp(stamps - late, stamps, column) for column in raw.T], axis=1)
+        left = expected - part.grid.apply(read)
+        raw += np.stack([np.interp(stamps + late, part.t, column) for column in left.T], axis=1)
     return replace(part, excitation=RepeatedRun(**vars(driven), channels=tuple(channels), missed=raw))
 
 

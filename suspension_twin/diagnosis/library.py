@@ -13,10 +13,9 @@ from itertools import product
 from suspension_twin.effects.base import Effect
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.inference.hypothesis import Hypothesis
-from suspension_twin.vehicle.quarter_car import on_wheel
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["NUISANCE_COUNTERPART", "SETUP_CATEGORIES", "decoys", "library"]
+__all__ = ["NUISANCE_COUNTERPART", "OF_PLACE", "SETUP_CATEGORIES", "decoys", "library"]
 
 #: Categories of effects that are set-up errors: any size within their range is possible.
 SETUP_CATEGORIES = ("time", "road", "sensor")
@@ -32,6 +31,9 @@ WITHOUT_ROAD = ("time_offset", "clock_drift", "sensor_tilt", "sensor_scale")
 #: Decoy hypotheses: generic shapes of progressive stiffness and play that many mechanisms share. If one explains the
 #: gap best, no effect of the library does, and the answer is unknown. They are causes only where a request names them.
 DECOYS = ("progressive_spring", "damper_play")
+#: Effects with the action of a pass's place and of a receiver's lateness, which are nuisance parameters where the
+#: receiver leaves them open.
+OF_PLACE = ("position_offset", "lateral_offset", "time_offset", "clock_drift")
 
 
 def variants(effect: Effect, twin: Twin, drives: int = 1) -> list[Hypothesis]:
@@ -75,6 +77,5 @@ def _offered(twin: Twin, excited: bool, names: Sequence[str], drives: int) -> di
     return {
         name: variants(effect.on(twin.model), twin, drives)
         for name, effect in EFFECTS.items()
-        if twin.model in effect.models and (excited or name in WITHOUT_ROAD) and name in names
-        if not on_wheel(twin) or "msd" in effect.models
+        if set(twin.acted_on) <= set(effect.models) and (excited or name in WITHOUT_ROAD) and name in names
     }

@@ -14,9 +14,8 @@ from suspension_twin.drive.mapping import BagSpec, load_mapping, read_mapped, re
 from suspension_twin.drive.read import Topics, read_drive
 from suspension_twin.drive.recording import is_recording
 from suspension_twin.drive.rig import RigRecord
-from suspension_twin.drive.streams import assemble, merge, with_velocities
+from suspension_twin.drive.streams import assemble, checked, merge
 from suspension_twin.drive.types import Drive
-from suspension_twin.drive.units import imu_in_si
 from suspension_twin.errors import InputError
 from suspension_twin.files import reading
 
@@ -130,11 +129,7 @@ def _bag(path: str | Path, topics: Topics, lag: float = 0.0) -> Imported:
     if lag:
         drive = replace(drive, imu=replace(drive.imu, t=drive.imu.t - lag))
         notes.append(f"IMU time: {lag:g} s lag taken out")
-    drive, derived = with_velocities(drive)
-    notes += derived
-    imu, doubts = imu_in_si(drive.imu, drive.velocity, None, notes)
-    drive = replace(drive, imu=imu, warnings=(*drive.warnings, *doubts))
-    return Imported(drive, "bag", tuple(notes))
+    return Imported(checked(drive, None, notes), "bag", tuple(notes))
 
 
 def _mapped_bag(path: Path, spec: BagSpec, name: str | None) -> Imported:

@@ -21,6 +21,7 @@ __all__ = [
     "held_velocities",
     "one_per_epoch",
     "velocities_from_fixes",
+    "velocity_fault",
     "with_vertical",
 ]
 
@@ -38,6 +39,72 @@ _OWN_PACE, _OVERDUE = 2 / 3, 0.5
 _METRES: Final = math.radians(6_371_000.0)  # m of a degree on the mean sphere
 #: Intervals between positions that a live stream is judged by, and how many are needed.
 _INTERVALS, _FEWEST = 25, 2
+
+
+#: s of driving over which ways are compared, and between velocities beyond which nothing is known of a way.
+_STRETCH, _HOLE = 10.0, 2.5
+#: Ways that are needed, their least rms in m and in standard deviations of a position; that of a phone where it is not
+#: known, in m.
+_WAYS, _FAR, _CLEAR, _ROUGH = 10, 10.0, 7.0, 3.0
+#: What ways of one vehicle have at least: correlation, and by how much it exceeds that with east and north exchanged
+#: (tolerances, by hand); the ratio of their lengths and the angle in rad between them at most.
+_ALIKE, _EXCHANGED, _RATIO, _ANGLE = 0.7, 0.15, 1.3, 0.5
+#: Share of the ways below which velocities say of none.
+_STILL = 0.05
+#: m/s in a unit of speed, by exact definitions, and how far a ratio may be from it.
+_SPEEDS: Final = {"km/h": 3.6, "knots": 3600.0 / 1852.0, "mph": 3600.0 / 1609.344, "ft/s": 1.0 / 0.3048}
+_UNIT: Final = 1.08
+
+
+def velocity_fault(fix: FixData, velocity: VelocityData) -> str:
+    """Fault of the velocities by the ways between the positions, in words: their unit or direction. Empty where they
+    agree, and where too little is known."""
+    good = fix.status >= 0
+    t, order = np.unique(fix.t[good], return_index=True)
+    own, first = np.unique(velocity.t, return_index=True)
+    if t.size < _WAYS or own.size < _WAYS:
+        return ""
+    latitude, longitude = fix.latitude[good][order], np.unwrap(fix.longitude[good][order], period=360.0)
+    east = (longitude - longitude[0]) * np.cos(np.radians(latitude[0]))
+    place = _METRES * (east + 1j * (latitude - latitude[0]))
+    motion = velocity.enu[first, 0] + 1j * velocity.enu[first, 1]
+    way = np.concatenate([[0.0], np.cumsum(0.5 * (motion[1:] + motion[:-1]) * np.diff(own))])
+    holes = np.searchsorted(own[1:][np.diff(own) > _HOLE], t)
+    end = np.searchsorted(t, t + _STRETCH)
+    begin = np.flatnonzero((end < t.size) & (t >= own[0]))
+    end = end[begin]
+    whole = (t[end] <= own[-1]) & (t[end] - t[begin] < 1.5 * _STRETCH) & (holes[begin] == holes[end])
+    begin, end = begin[whole], end[whole]
+    travelled = np.interp(t, own, way.real) + 1j * np.interp(t, own, way.imag)
+    seen, said = place[end] - place[begin], travelled[end] - travelled[begin]
+    sigma = fix.sigma[np.isfinite(fix.sigma[:, 0]), 0]
+    clear = max(_FAR, _CLEAR * (float(np.median(sigma)) if sigma.size else _ROUGH))
+    if begin.size < _WAYS or _size(seen) < clear:
+        return ""
+    if _size(said) < _STILL * _size(seen):
+        return "the velocities say that the vehicle stands, and its positions move"
+    plain, exchanged = (abs(_correlation(seen, one)) for one in (said, 1j * said.conj()))
+    if exchanged > max(_ALIKE, plain + _EXCHANGED):
+        return "positions and velocities mirror each other: east and north, or latitude and longitude, are exchanged"
+    if plain < _ALIKE:
+        return "the velocities are not those of the positions: what they say adds up to other ways"
+    turn = float(np.angle(np.vdot(said, seen)))
+    if abs(turn) > _ANGLE:
+        return f"the velocities point {abs(math.degrees(turn)):.0f}° beside the ways between the positions"
+    ratio = abs(complex(np.vdot(said, said) / np.vdot(said, seen)))
+    if 1.0 / _RATIO < ratio < _RATIO:
+        return ""
+    unit = next((u for u, k in _SPEEDS.items() if 1.0 / _UNIT < ratio / k < _UNIT), "")
+    text = f"the velocities are {ratio:.2f} times as fast as the positions move"
+    return f"{text}: they come in {unit}, not in m/s" if unit else f"{text}: check their unit"
+
+
+def _size(ways: NDArray[np.complex128]) -> float:
+    return float(np.sqrt(np.mean(np.abs(ways) ** 2)))
+
+
+def _correlation(a: NDArray[np.complex128], b: NDArray[np.complex128]) -> complex:
+    return complex(np.vdot(b, a) / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-12))
 
 
 def held_places(fix: FixData) -> Bools:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats, interpolated
 from suspension_twin.drive.checks import clean_drive, measured
-from suspension_twin.drive.received import velocities_from_fixes
+from suspension_twin.drive.received import velocities_from_fixes, velocity_fault
 from suspension_twin.drive.stamps import (
     began_again,
     jumps_back,
@@ -144,18 +144,27 @@ def _assembled(streams: Streams, name: str, source: str, notes: list[str], warni
         heading=None if streams.heading is None else received(streams.heading, "headings"),
         warnings=tuple(warnings),
     )
-    drive, derived = with_velocities(clean_drive(drive))
-    notes += derived
-    imu, doubts = imu_in_si(drive.imu, drive.velocity, force.unit, notes)
-    drive = replace(drive, imu=imu, warnings=(*drive.warnings, *doubts))
+    drive = checked(clean_drive(drive), force.unit, notes)
     if not len(drive.fix):
         notes.append("no GPS positions: the pose cannot be locked to this drive")
-    else:
-        apart = max(drive.fix.t[0] - drive.imu.t[-1], drive.imu.t[0] - drive.fix.t[-1])
-        if apart >= 0:
-            text = f"IMU and GPS do not overlap in time: {apart:.1f} s lie between them, check the time base"
-            drive = replace(drive, warnings=(*drive.warnings, text))
     return drive
+
+
+def checked(drive: Drive, unit: Literal["m/s²", "g"] | None, notes: list[str]) -> Drive:
+    """The drive with velocities and in SI units, with warnings of what its parts say against each other; ``unit`` and
+    ``notes`` as of :func:`~suspension_twin.drive.units.imu_in_si`."""
+    fault = velocity_fault(drive.fix, drive.velocity)
+    drive, derived = with_velocities(drive)
+    notes += derived
+    imu, doubts = imu_in_si(drive.imu, None if fault else drive.velocity, unit, notes)
+    doubts += [fault] if fault else []
+    if len(drive.fix) and len(imu):
+        apart = max(drive.fix.t[0] - imu.t[-1], imu.t[0] - drive.fix.t[-1])
+        if apart >= 0:
+            doubts.append(
+                f"IMU and GPS do not overlap in time: {apart:.1f} s lie between them, check the time base"
+            )
+    return replace(drive, imu=imu, warnings=(*drive.warnings, *doubts))
 
 
 def with_velocities(drive: Drive) -> tuple[Drive, list[str]]:

@@ -13,7 +13,16 @@ from suspension_twin.arrays import Floats
 from suspension_twin.drive.types import ImuData, VelocityData
 from suspension_twin.units import STANDARD_GRAVITY
 
-__all__ = ["DEGREES", "ImuWindows", "Units", "imu_in_si", "rates_in_degrees", "recognise_units", "windowed"]
+__all__ = [
+    "DEGREES",
+    "ImuWindows",
+    "Units",
+    "imu_in_si",
+    "rates_in_degrees",
+    "recognise_units",
+    "turning_fault",
+    "windowed",
+]
 
 Units = Literal["m/s2", "g", "gravity removed", "unknown"]
 
@@ -26,10 +35,15 @@ _FASTEST, _OFTEN = 40.0, 0.1  # rad/s
 #: Turning of gravity by the gyroscope from second to second: rad that no road asks for (9°), and how many times that of
 #: the accelerometer, which accelerations make larger, not smaller.
 _TURNS, _TIMES = 0.15, 3.0
+#: Times from which on it is the unit: other scales and axes that are exchanged reach some (a car's bends; by hand).
+_CERTAIN = 6.0
 #: Share of the turning by the gyroscope, in deg/s, that the accelerometer has to show.
 _LEAST = 0.7
 #: Speed in m/s from which a course is one, rad of turning that are needed, and the correlation that makes a ratio sure.
 _COURSE, _BENDS, _SURE = 3.0, 0.5, 0.75
+#: Ratio of rates from which on the unit is another; share of the trace that keeps out axes in which nothing turns;
+#: length of the mean vertical of a sensor that sits still; cosine between verticals that are one, or opposed (by hand).
+_SCALE, _RIDGE, _STEADY, _ALONG = 1.7, 0.01, 0.9, 0.6
 #: Of seconds: the fewest that show anything.
 _FEWEST = 10
 
@@ -77,26 +91,87 @@ def rates_in_degrees(windows: ImuWindows, velocity: VelocityData | None = None) 
     """
     if windows.t.size < _FEWEST:
         return ""
-    if float(np.mean(windows.largest > _FASTEST)) > _OFTEN:
+    turns = None if velocity is None else _turning(windows, velocity)
+    if turns is not None:  # the course says what the unit is
+        ratio = 1.0 / float(np.linalg.norm(turns))
+        return f"the course turns {ratio:.0f} times less" if 0.5 < ratio * DEGREES < 2.0 else ""
+    seen, said = _turning_of_gravity(windows)
+    # gravity has to turn as the rates say once they are converted
+    converts = DEGREES * said < max(_TURNS, _TIMES * seen)
+    if float(np.mean(windows.largest > _FASTEST)) > _OFTEN and converts:
         most = float(windows.largest.max())
         return f"they reach {most:.0f}, and no gyroscope of a phone measures {_FASTEST:.0f} rad/s"
-    length = np.linalg.norm(windows.force, axis=1)
-    up = windows.force / np.maximum(length, 1e-9)[:, None]
+    if said > max(_TURNS, _CERTAIN * seen) and seen > _LEAST * DEGREES * said:
+        return _otherwise(seen, said)
+    return ""
+
+
+def _otherwise(seen: float, said: float) -> str:
+    return f"gravity turns by {seen / DEGREES:.1f}° a second and not by {said / DEGREES:.0f}°"
+
+
+def _turning_of_gravity(windows: ImuWindows) -> tuple[float, float]:
+    """rad by which gravity turns in the axes of the sensor from second to second, as the accelerometer sees and as the
+    gyroscope says; zero where gravity was removed, which does not turn."""
+    length, up = _upright(windows)
     rate = windows.rate - np.median(windows.rate, axis=0)
     follows = np.diff(windows.t) < 1.5
-    seen = _rms(np.diff(up, axis=0)[follows])
+    if not np.median(length) > 0.5:
+        return 0.0, 0.0
     said = _rms(np.cross(0.5 * (up[1:] + up[:-1]), 0.5 * (rate[1:] + rate[:-1]))[follows])
-    # gravity that was removed does not turn; and it has to turn as the rates say once they are converted
-    if np.median(length) > 0.5 and said > max(_TURNS, _TIMES * seen) and seen > _LEAST * DEGREES * said:
-        return f"gravity turns by {seen / DEGREES:.1f}° a second and not by {said / DEGREES:.0f}°"
-    if velocity is not None and len(velocity) > 1:
-        course, turned = _course_turns(windows.t, np.sum(windows.rate * up, axis=1), velocity)
-        most = float(np.sum(np.abs(course)))
-        if most > _BENDS and np.corrcoef(course, turned)[0, 1] ** 2 > _SURE**2:
-            ratio = abs(float(turned @ course / (course @ course)))
-            if 0.5 < ratio * DEGREES < 2.0:
-                return f"the course turns {ratio:.0f} times less"
+    return _rms(np.diff(up, axis=0)[follows]), said
+
+
+def turning_fault(windows: ImuWindows, velocity: VelocityData) -> str:
+    """Fault of the gyroscope, or of the accelerometer beside it, by the course of the ``velocity`` or the turning of
+    gravity, in words; empty where they agree, and for rates in deg/s: see :func:`rates_in_degrees`."""
+    if windows.t.size < _FEWEST or rates_in_degrees(windows, velocity):
+        return ""
+    turns = _turning(windows, velocity)
+    if turns is None:
+        seen, said = _turning_of_gravity(windows)
+        wrong = said > max(_TURNS, _TIMES * seen)
+        return f"{_otherwise(seen, said)}, as the rates say: check their unit and axes" if wrong else ""
+    size = float(np.linalg.norm(turns))
+    if not 1.0 / _SCALE < size < _SCALE:
+        return f"angular rates are {1.0 / size:.2g} times what the course turns: check their unit"
+    length, up = _upright(windows)
+    vertical = up.mean(axis=0)
+    steady = float(np.linalg.norm(vertical))
+    if np.median(length) < 0.5 or steady < _STEADY:
+        return ""
+    cosine = float(turns @ vertical) / size / steady
+    if cosine < -_ALONG:
+        return (
+            "the gyroscope turns the other way about the accelerometer's vertical than the course: one of the two is "
+            "negated (as iOS has its accelerometer)"
+        )
+    if cosine < 1.0 - _ALONG:
+        off = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+        return f"the gyroscope sees bends about an axis {off:.0f}° off the accelerometer's vertical: their axes differ"
     return ""
+
+
+def _upright(windows: ImuWindows) -> tuple[Floats, Floats]:
+    """Length of the force of each second (k,), and its direction (k, 3)."""
+    length = np.linalg.norm(windows.force, axis=1)
+    return length, windows.force / np.maximum(length, 1e-9)[:, None]
+
+
+def _turning(windows: ImuWindows, velocity: VelocityData) -> Floats | None:
+    """The vector (3,) whose product with the angular rate is that of the course, by least squares: along the vertical
+    of the gyroscope, of length one for rates in rad/s. None where too little turns, or it does not follow."""
+    if len(velocity) < 2:
+        return None
+    course, used = _course_turns(windows.t, velocity)
+    rate = windows.rate[used]
+    if len(course) < _FEWEST or float(np.sum(np.abs(course))) < _BENDS:
+        return None
+    square = rate.T @ rate
+    turns = np.linalg.solve(square + _RIDGE * max(np.trace(square), 1e-12) * np.eye(3), rate.T @ course)
+    said = rate @ turns
+    size = float(np.linalg.norm(said) * np.linalg.norm(course))
+    return np.asarray(turns) if size > 0.0 and float(said @ course) > _SURE * size else None
 
 
 def imu_in_si(
@@ -120,10 +195,14 @@ def imu_in_si(
             f"accelerometer: median {scale * size:.2f} m/s²: gravity seems to be removed; record the accelerometer "
             "with gravity"
         )
-    evidence = rates_in_degrees(windowed(imu.t, force, imu.angular_rate), velocity)
+    windows = windowed(imu.t, force, imu.angular_rate)
+    evidence = rates_in_degrees(windows, velocity)
+    fault = "" if velocity is None else turning_fault(windows, velocity)
     rate = imu.angular_rate * (DEGREES if evidence else 1.0)
     if evidence:
         notes.append(f"gyroscope: rates in deg/s, taken times π/180: {evidence}")
+    elif fault:
+        warnings.append(fault)
     elif (fastest := float(np.abs(rate).max())) > _FASTEST:
         warnings.append(f"angular rates up to {fastest:.0f} rad/s: are they in deg/s?")
     return replace(imu, specific_force=force, angular_rate=rate), warnings
@@ -133,12 +212,12 @@ def _rms(vectors: Floats) -> float:
     return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1)))) if len(vectors) else 0.0
 
 
-def _course_turns(t: Floats, yaw_rate: Floats, velocity: VelocityData) -> tuple[Floats, Floats]:
-    """rad by which the course of the ``velocity`` turns from second to second (k,) where the vehicle is fast enough,
-    and by which the ``yaw_rate`` (k,) of the seconds from ``t`` (k,) on does."""
+def _course_turns(t: Floats, velocity: VelocityData) -> tuple[Floats, NDArray[np.bool_]]:
+    """rad by which the course of the ``velocity`` turns in each of the seconds from ``t`` (k,) on in which the vehicle
+    is fast enough, and which those are (k,)."""
     east, north = (np.interp(np.append(t, t[-1] + 1.0), velocity.t, velocity.enu[:, i]) for i in (0, 1))
     fast: NDArray[np.bool_] = np.hypot(east, north) > _COURSE
     turns = np.diff(np.arctan2(north, east))
     used = fast[1:] & fast[:-1] & (np.diff(np.append(t, t[-1] + 1.0)) < 1.5)
     used &= (t >= velocity.t[0]) & (t <= velocity.t[-1])
-    return (np.remainder(turns + np.pi, 2.0 * np.pi) - np.pi)[used], yaw_rate[used]
+    return (np.remainder(turns + np.pi, 2.0 * np.pi) - np.pi)[used], used

@@ -189,7 +189,7 @@ def coordinate_scan(problem: Problem, at: LinearisedFit) -> Floats | None:
     points = np.repeat(at.x[:, None], rows.size, axis=1)
     for i in range(len(hypothesis)):
         ends = np.clip(centre[p + i] + np.array([-_FAR, _FAR]), low[i], high[i])
-        points[p + i, rows == p + i] = np.linspace(*ends, _SWEPT)
+        points[p + i, rows == p + i] = np.linspace(ends[0], ends[1], _SWEPT)
     residual, failed = problem.residuals(points)
     away = points - centre[:, None]
     slope = at.at.jacobian.T @ residual + precision @ away

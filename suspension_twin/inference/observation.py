@@ -12,7 +12,6 @@ import hashlib
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cached_property, lru_cache
-from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -62,6 +61,7 @@ __all__ = [
     "Grid",
     "Observation",
     "ObserveSettings",
+    "PlaceShift",
     "Reading",
     "Usage",
     "content_digest",
@@ -90,6 +90,22 @@ _TURNS = 3
 _METRES, _SECONDS = 8.0, 4.0
 
 
+@dataclass(frozen=True, eq=False)
+class PlaceShift:
+    """How far a path is moved ``ahead`` along the vehicle's course and to the ``left``, (k,) m at the times ``t`` (k,)
+    s: linear between them, constant beyond."""
+
+    t: Floats
+    ahead: Floats
+    left: Floats
+
+    def of(self, path: Trajectory) -> Trajectory:
+        """The path moved."""
+        along, across = (np.interp(path.t, self.t, metres) for metres in (self.ahead, self.left))
+        cos, sin = np.cos(path.yaw), np.sin(path.yaw)
+        return replace(path, x=path.x + along * cos - across * sin, y=path.y + along * sin + across * cos)
+
+
 @dataclass(frozen=True)
 class ObserveSettings:
     """How a drive is observed.
@@ -97,7 +113,8 @@ class ObserveSettings:
     ``filter`` for both sides, zero-phase offline; ``max_step`` s of the simulation; ``quiet`` takes the IMU's noise out
     of the planar motion that drives it; ``outside`` is the height policy beyond the road: hold, zero, error, or that of
     the road's file; ``satellites`` takes the planar motion from the fixes alone, where the IMU itself is in question;
-    ``saturated`` compares samples at the end of the sensor's range as well, which alone show a clipped range.
+    ``saturated`` compares samples at the end of the sensor's range as well, which alone show a clipped range;
+    ``placed`` moves every path that is read from the recording.
     """
 
     filter: FilterSpec = FilterSpec()
@@ -107,6 +124,7 @@ class ObserveSettings:
     satellites: bool = False
     saturated: bool = False
     imu: ImuSettings = field(default_factory=ImuSettings)
+    placed: PlaceShift | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -458,13 +476,8 @@ class Observation:
     def displaced(self, t: Floats, ahead: Floats, left: Floats | None = None) -> Observation:
         """The same drive with its path ``ahead`` along the vehicle's course and to the ``left`` by these (k,) m at the
         times ``t`` (k,) s: linear between them, constant beyond."""
-        left = np.zeros_like(ahead) if left is None else left
-        source = self.source
-        path = source.trajectory
-        along, across = (np.interp(path.t, t, metres) for metres in (ahead, left))
-        cos, sin = np.cos(path.yaw), np.sin(path.yaw)
-        x, y = path.x + along * cos - across * sin, path.y + along * sin + across * cos
-        return _observed(replace(source, trajectory=replace(path, x=x, y=y)), self)
+        shift = PlaceShift(t, ahead, np.zeros_like(ahead) if left is None else left)
+        return _observed(replace(self.source, trajectory=shift.of(self.trajectory)), self)
 
 
 def observe(
@@ -543,14 +556,16 @@ def observe(
     about = warning_of(twin.road.file) if known and twin.road is not None else None
     beside = found.off_road.sentence(float(signals.t[0]))
     noticed += [Finding("warn", "off_road", beside)] if beside else []
-    said = (
-        *drive.warnings,
-        *(f.text for f in told(noticed) if f.level != "ok"),
-        *((about,) if about else ()),
+    said = dict.fromkeys(
+        (
+            *drive.warnings,
+            *(f.text for f in told(noticed) if f.level != "ok"),
+            *((about,) if about else ()),
+        )
     )
     # a place that was felt is that of one axle or of the other
     sigma = _position_sigma(drive) if len(drive.fix) else float(np.ptp(twin.vehicle.wheel_positions[:, 0]))
-    return replace(found, warnings=said, grid=replace(found.grid, position_sigma=sigma))
+    return replace(found, warnings=tuple(said), grid=replace(found.grid, position_sigma=sigma))
 
 
 def with_shown_errors(observation: Observation) -> Observation:
@@ -598,17 +613,12 @@ def road_of(twin: Twin) -> Road:
     """The road that the twin file names."""
     from suspension_twin.road import load_road
 
-    return load_road(road_file(twin))
-
-
-def road_file(twin: Twin) -> Path:
-    """The file of the road that the twin file names; InputError where there is none."""
     if twin.road is None:
         raise InputError("twin", "road", "is missing: name the road that was driven, road: {file: road.crg}")
     if not twin.road.file.exists():
         where = "it is looked for from the folder of the twin file, unless its path is absolute"
         raise InputError("twin", "road.file", f"there is no {twin.road.file}: {where}")
-    return twin.road.file
+    return load_road(twin.road.file)
 
 
 def renamed(observations: Sequence[Observation]) -> list[Observation]:
@@ -661,7 +671,8 @@ def _locked(
 ) -> Trajectory:
     datum = twin.datum or first_fix(timed)
     trajectory = locked_trajectory(timed, signals, twin.gps, datum, signals.t, upright=upright)
-    return denoised_motion(trajectory, signals, twin.cog_height) if settings.quiet else trajectory
+    found = denoised_motion(trajectory, signals, twin.cog_height) if settings.quiet else trajectory
+    return found if settings.placed is None else settings.placed.of(found)
 
 
 def _felt(timed: Drive, twin: Twin, signals: ImuSignals, road: Road, settings: ObserveSettings) -> Trajectory:

@@ -395,17 +395,22 @@ class Problem:
         """
         return self.signals_of(self.space.simulated_values(x[: self.d]), x[self.shared :])
 
+    @cached_property
+    def _twins(self) -> tuple[Twin, Twin]:
+        """The twins that candidates differ from on drives with the gap and on those without."""
+        simulated, hypothesis = self.space.simulated, self.hypothesis
+        return simulated(hypothesis.twin(self.twin)), simulated(hypothesis.on_reference().twin(self.twin))
+
     def signals_of(self, values: Floats, effects: Floats) -> tuple[list[Floats], NDArray[np.bool_]]:
         """As :meth:`signals`, for values (n, L) of the space's ``simulated_keys`` and coordinates (k, L) of effects."""
         space, data, hypothesis = self.space, self.data, self.hypothesis
-        twin = space.simulated(hypothesis.twin(self.twin))
+        twin, reference_twin = self._twins
         parameters = hypothesis.values(effects)
         before = hypothesis.on_reference()
         rows_before = before.on_drive(0)[1]
         earlier = np.concatenate([values, before.values(effects[hypothesis.rows(before)])[rows_before]])
         if (earlier == earlier[:, :1]).all():
             earlier = earlier[:, :1]
-        reference_twin = space.simulated(before.twin(self.twin))
         reference = lanes(reference_twin, (*space.simulated_keys, *before.on_drive(0)[0]), earlier.T)
 
         def simulated(numbers: list[int]) -> tuple[list[Floats], NDArray[np.bool_]]:

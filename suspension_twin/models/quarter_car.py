@@ -32,7 +32,7 @@ from suspension_twin.models import rows
 from suspension_twin.models.car import PARTS, Problems, points
 from suspension_twin.models.constants import Conditions, Constants, constants
 from suspension_twin.models.excitation import MOTION
-from suspension_twin.models.hooks import Values
+from suspension_twin.models.hooks import Values, load_hook
 from suspension_twin.models.parameters import ParameterLayout, layout, pack
 from suspension_twin.models.parts import has_part
 from suspension_twin.models.registry import Model
@@ -112,7 +112,7 @@ def _constants(twin: Twin, params: Floats, run: Excitation) -> Constants:
     if above and run.motion.shape[1] > len(MOTION):
         raise InputError("excitation", "wheel", "cannot be with the force of an actuator: give the road")
     for effect, hook in shape.hooks.items():
-        if kernel not in hook.models and effect not in shape.parts:
+        if above and effect not in shape.parts and kernel not in load_hook(effect, kernel).models:
             raise InputError("twin", "effects", f"{effect} does not act where the wheel's motion is given")
         neutral = dict(hook.neutral)
         for name in hook.neutral:  # what an effect does at the front it does at the rear

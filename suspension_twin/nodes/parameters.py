@@ -19,7 +19,6 @@ from rclpy.parameter import Parameter
 from suspension_twin.drive.unpack import Budget, within_limits
 from suspension_twin.errors import InputError
 from suspension_twin.files import Folders, for_peers, read_yaml, reader, reading
-from suspension_twin.inference.observation import road_file
 from suspension_twin.live.gap import CalibrationGap, calibration_gap
 from suspension_twin.road import Road, load_road
 from suspension_twin.signals.filters import FilterSpec
@@ -222,23 +221,17 @@ def read_named(path: str) -> NamedTwin:
     """
     with reading(path, "a twin file"):
         twin = load_twin(path)
-        road = None if twin.road is None or twin.program is not None else _road_of(path, twin)
+        road = None
+        if twin.road is not None and twin.program is None:
+            file = twin.road.file
+            budget = Budget(file, file.stat().st_size)
+            road = within_limits(load_road, file, budget=budget, kind="an OpenCRG road", module="pycrg")
         named = NamedTwin(twin, road, calibration_gap(0.0, path))
     _NAMED.pop(path, None)
     _NAMED[path] = named
     for oldest in list(_NAMED)[:-_MOST]:
         _NAMED.pop(oldest, None)
     return named
-
-
-def _road_of(path: str, twin: Twin) -> Road:
-    try:
-        file = road_file(twin)
-    except InputError as error:
-        error.source, error.place = path, "road.file"
-        raise
-    budget = Budget(file, file.stat().st_size)
-    return within_limits(load_road, file, budget=budget, kind="an OpenCRG road", module="pycrg")
 
 
 def named_twin(values: Values) -> NamedTwin | None:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
+from suspension_twin.drive.received import velocity_fault
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
 from suspension_twin.pose.satellites import RATE, satellite_motion
@@ -218,6 +219,8 @@ def findings(drive: Drive, signals: ImuSignals, gps: Place, datum: Datum) -> lis
     if largest > _LARGEST_RATE:
         text = f"the gyro reads more than {largest:.0f} rad/s for a hundredth of the drive: are its rates in °/s?"
         return [Finding("error", "rates_unknown", text)]
+    if fault := velocity_fault(drive.fix, drive.velocity):
+        return [Finding("error", "speed", fault)]
     pair = _pair(drive, signals, gps, datum)
     change = None if pair is None else _yaw_change(pair)
     if change is not None:

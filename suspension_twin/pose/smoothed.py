@@ -335,6 +335,8 @@ def locked_trajectory(
         smooth(now.t, now.inputs, noise, states, covariances)
         share = _sway_share(now, states, share)
         factor = _noise_factors(_with(nodes, share, np.ones(nodes.t.size)), states)
+    if not np.isfinite(states).all():
+        raise InputError(drive.name, "no pose agrees with its IMU and receiver: are the units right?")
     t = np.asarray(t, dtype=np.float64)
     return _evaluate(t, nodes, states, signals, rows, _valid(t, nodes, factor, settings))
 

@@ -59,6 +59,10 @@ EXCLUDES: dict[str, frozenset[str]] = {
     "gravity_removed": _OF_GRAVITY,
     # a gyroscope in another unit turns the vertical and the path
     "rates_unknown": _OF_GRAVITY | _OF_MOTION | _OF_ROAD,
+    # a path of velocities that are none is no reference
+    "speed": _OF_MOTION | _OF_ROAD | {"senses"},
+    # two sensors that contradict each other show neither what is up nor a path
+    "senses": _OF_GRAVITY | _OF_MOTION | _OF_ROAD,
     # a mounting that changes is none that imu.rpy could state
     "turning": _OF_GRAVITY | _OF_MOTION,
     "swivelled": _OF_MOTION - {"swivelled"},

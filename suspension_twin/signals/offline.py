@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.types import Drive, FixData
-from suspension_twin.drive.units import rates_in_degrees, recognise_units, windowed
+from suspension_twin.drive.units import rates_in_degrees, recognise_units, turning_fault, windowed
 from suspension_twin.errors import InputError
 from suspension_twin.signals.attitude import (
     carried_up,
@@ -284,8 +284,10 @@ def ingest_drive(drive: Drive, place: Place, settings: ImuSettings | None = None
 
     reading = ImuReading(settings, place, _latitude(drive, settings))
     findings += _listed(reading.take_units(recognise_units(raw_force), raw_force))
-    evidence = rates_in_degrees(windowed(t, reading.scale * raw_force, raw_rate), drive.velocity)
-    findings += _listed(reading.take_rate_units(evidence))
+    windows = windowed(t, reading.scale * raw_force, raw_rate)
+    findings += _listed(reading.take_rate_units(rates_in_degrees(windows, drive.velocity)))
+    if fault := turning_fault(windows, drive.velocity):
+        findings.append(Finding("error", "senses", fault))
     raw_rate = reading.rate_scale * raw_rate
     saturated = saturated_samples(reading.scale * raw_force, settings.full_scale)
     saturated |= saturated_samples(raw_rate, settings.full_scale_rate)

@@ -79,6 +79,10 @@ class QuarterCarTwin(Twin):
         return ("suspension",)
 
     @property
+    def acted_on(self) -> tuple[str, ...]:
+        return (self.model, "msd") if self.excitation == "wheel" else (self.model,)
+
+    @property
     def axles(self) -> dict[str, Suspension]:
         return self.vehicle.axles
 

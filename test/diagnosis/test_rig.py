@@ -14,11 +14,12 @@ import pytest
 from scipy.signal import butter, sosfiltfilt
 
 from suspension_twin.cli.main import main
+from suspension_twin.diagnosis.library import library
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.diagnosis.run import diagnose
 from suspension_twin.drive.rig import RigRecord, write_rig
 from suspension_twin.inference.runs import observe_runs, rig_run
-from suspension_twin.models.parameters import pack
+from suspension_twin.models.parameters import lanes, pack
 from suspension_twin.models.simulate import simulate_lanes
 from suspension_twin.vehicle.twin import EffectSpec, load_twin, save_twin
 
@@ -110,3 +111,24 @@ def test_a_clock_that_has_an_offset_in_the_twin_changes_again(repository: Path, 
     assert "(in the twin file: offset 10 ms)" in result.document["message"]
     assert [e.id for e in result.twin.effects] == ["time_offset"]
     assert result.twin.effects[0].parameters["offset"] == pytest.approx(0.035, abs=0.003)
+
+
+def test_what_is_offered_where_the_wheel_is_given_acts(repository: Path) -> None:
+    """Effects of what is above the wheel, of the sensor and of its clock: each changes what a corner does."""
+    corner = load_twin(repository / "config" / "twins" / "quarter_car.yaml")
+    above, t = corner.with_changes({"excitation": "wheel"}), np.arange(0.0, 2.0, 0.005)
+    offered = library(above, True)
+    assert {"payload", "spring_sag", "worn_dampers", "sensor_scale", "time_offset"} <= set(offered)
+    assert set(offered) < set(library(corner, True)) and "strut_friction" not in offered
+    run = rig_run(t, 0.03 * np.sin(60.0 * t**1.5))
+    plain = simulate_lanes(above, pack(above)[:, None], run).signals[:, 0, 0]
+    for name, (first, *_) in offered.items():
+        if name in (
+            "spring_sag",
+            "sensor_clipping",
+        ):  # of a standing height, and of a range that is not reached
+            continue
+        twin, values = first.twin(above), first.values(first.starts(2, 1))
+        keys, rows = first.on_drive(0)
+        moved = simulate_lanes(twin, lanes(twin, keys, values[rows].T), run).signals[:, 0]
+        assert np.std(moved - plain[:, None], axis=0).max() > 1e-3 * np.std(plain), name

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from suspension_twin.drive.checks import clean_drive, path_length, rhythm_of, summarise
 from suspension_twin.drive.importing import import_drive
 from suspension_twin.drive.read import read_drive
-from suspension_twin.drive.received import LivePlaces, held_places, one_per_epoch
+from suspension_twin.drive.received import LivePlaces, held_places, one_per_epoch, velocity_fault
 from suspension_twin.drive.streams import Streams, velocities_from_course, velocities_from_fixes
 from suspension_twin.drive.types import Drive, FixData, ImuData, VelocityData
 from suspension_twin.drive.write import write_drive
@@ -240,3 +240,50 @@ def test_distances_stop_at_gaps() -> None:
     # a few messages that were lost are no gap
     lost = replace(drive, velocity=drive.velocity.select(np.arange(t.size) != 7))
     assert summarise(lost).path == pytest.approx(2 * 9.5 * 8)
+
+
+def winding(seconds: float = 120.0, sigma: float = 0.02, seed: int = 0) -> tuple[FixData, VelocityData]:
+    """A drive through bends across the date line, with a stop: positions at 5 Hz, velocities at 10 Hz."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, seconds, 0.1)
+    speed, yaw = 6.0 * (1.0 + np.sin(0.1 * t)), 1.5 * np.sin(0.05 * t)
+    enu = np.column_stack([speed * np.cos(yaw), speed * np.sin(yaw), 0.0 * t])
+    way = np.cumsum(enu, axis=0)[::2] * 0.1 + sigma * rng.standard_normal((t[::2].size, 3))
+    latitude = 51.0 + np.degrees(way[:, 1] / 6_371_000.0)
+    longitude = 179.9995 + np.degrees(way[:, 0] / 6_371_000.0 / np.cos(np.radians(51.0)))
+    longitude = np.remainder(longitude + 180.0, 360.0) - 180.0  # across the date line
+    count = latitude.size
+    spread = np.full((count, 3), sigma)
+    fix = FixData(t[::2], latitude, longitude, np.zeros(count), np.zeros(count, dtype=np.int8), spread)
+    return fix, VelocityData(t, enu)
+
+
+SPEEDS = {
+    "sound": (lambda enu: enu, ""),
+    "km/h": (lambda enu: 3.6 * enu, "they come in km/h"),
+    "knots": (lambda enu: enu * 3600 / 1852, "they come in knots"),
+    "mph": (lambda enu: enu / 0.44704, "they come in mph"),
+    "divided": (lambda enu: enu / 3.6, "0.28 times as fast as the positions move: check their unit"),
+    "exchanged": (lambda enu: enu[:, [1, 0, 2]], "are exchanged"),
+    "none": (lambda enu: 0.0 * enu, "stands, and its positions move"),
+    "back": (lambda enu: -enu, "180° beside"),
+    "of another drive": (lambda enu: enu[::-1] * [1, -1, 1] * np.sign(np.sin(enu[:, :1] * 9)), "other ways"),
+}
+
+
+@pytest.mark.parametrize("sigma", [0.02, 2.5])
+@pytest.mark.parametrize("case", SPEEDS)
+def test_velocities_are_those_of_the_positions_or_it_is_said(case: str, sigma: float) -> None:
+    fix, velocity = winding(sigma=sigma)
+    spoil, says = SPEEDS[case]
+    fault = velocity_fault(fix, VelocityData(velocity.t, spoil(velocity.enu)))
+    assert says in fault if says else fault == ""
+
+
+def test_of_velocities_that_nothing_is_known_of_nothing_is_said() -> None:
+    fix, velocity = winding()
+    assert velocity_fault(fix, VelocityData.empty()) == ""
+    assert velocity_fault(fix.select(fix.t < 9.0), velocity) == ""
+    assert velocity_fault(fix, VelocityData(velocity.t + 1e4, velocity.enu)) == ""
+    holes = (velocity.t % 7.0) < 3.0
+    assert velocity_fault(fix, velocity.select(holes)) == ""

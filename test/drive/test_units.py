@@ -12,8 +12,8 @@ import pytest
 
 from suspension_twin.drive.importing import Imported, import_drive
 from suspension_twin.drive.read import read_drive
-from suspension_twin.drive.types import Drive, ImuData, VelocityData
-from suspension_twin.drive.units import rates_in_degrees, recognise_units, windowed
+from suspension_twin.drive.types import Drive, FixData, ImuData, VelocityData
+from suspension_twin.drive.units import rates_in_degrees, recognise_units, turning_fault, windowed
 from suspension_twin.drive.write import write_drive
 from suspension_twin.live.twin import DigitalTwin, ingest_stage, replay
 from suspension_twin.signals.imu import ImuSettings
@@ -36,7 +36,8 @@ def turning(seconds: float = 40.0, yaw_rate: float = 0.2, noise: float = 0.002) 
     enu = np.column_stack([speed * np.cos(yaw), speed * np.sin(yaw), 0.0 * t])[::10]
     drive = read_drive(Path(__file__).parents[2] / "bags" / "crg_road")
     imu = ImuData(1.7e9 + t, force, rate)
-    return replace(drive, name="circle", imu=imu, velocity=VelocityData(1.7e9 + t[::10], enu))
+    velocity = VelocityData(1.7e9 + t[::10], enu)
+    return replace(drive, name="circle", imu=imu, fix=FixData.empty(), velocity=velocity)
 
 
 def spoilt(drive: Drive, force: Callable[[np.ndarray], np.ndarray], rate: float = 1.0) -> Drive:
@@ -134,3 +135,30 @@ def test_degrees_that_may_not_be_converted_are_an_error(bump: tuple[Drive, Twin]
     degrees = spoilt(drive, lambda f: f, float(np.degrees(1.0)))
     found = ingest_drive(degrees, twin.imu, ImuSettings(convert_units=False))
     assert [f.level for f in found.findings if f.code == "rates_unknown"] == ["error"]
+
+
+SENSES = {
+    "sound": (np.eye(3), np.eye(3), ""),
+    "the phone upright": (np.eye(3)[[0, 2, 1]] * [1, 1, -1], np.eye(3)[[0, 2, 1]] * [1, 1, -1], ""),
+    "forces negated": (-np.eye(3), np.eye(3), "one of the two is negated"),
+    "rates negated": (np.eye(3), -np.eye(3), "one of the two is negated"),
+    "rates times ten": (np.eye(3), 10.0 * np.eye(3), "10 times what the course turns"),
+    "rates in revolutions": (np.eye(3), np.eye(3) / (2 * np.pi), "0.16 times what the course turns"),
+    "axes of one exchanged": (
+        np.eye(3)[[0, 2, 1]],
+        np.eye(3),
+        "off the accelerometer's vertical: their axes differ",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", SENSES)
+@pytest.mark.parametrize("yaw_rate", [0.2, -0.2])
+def test_gyroscope_accelerometer_and_course_agree_or_it_is_said(case: str, yaw_rate: float) -> None:
+    force_turn, rate_turn, says = SENSES[case]
+    drive = turning(yaw_rate=yaw_rate)
+    imu = drive.imu
+    windows = windowed(imu.t, imu.specific_force @ force_turn.T, imu.angular_rate @ rate_turn.T)
+    fault = turning_fault(windows, drive.velocity)
+    assert says in fault if says else fault == ""
+    assert rates_in_degrees(windows, drive.velocity) == ""

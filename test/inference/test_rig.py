@@ -342,10 +342,14 @@ def test_what_repeats_differ_by_is_noise_of_a_change(corner: Twin, tmp_path: Pat
         np.testing.assert_array_equal(one, other)
 
 
-def test_what_a_reference_leaves_passes_the_sensor_of_the_run_after_it(corner: Twin, tmp_path: Path) -> None:
+@pytest.mark.parametrize("latency", [0.0, 0.02])
+def test_what_a_reference_leaves_passes_the_sensor_of_the_run_after_it(
+    corner: Twin, tmp_path: Path, latency: float
+) -> None:
     """A resonance that the twin has not, under a low-pass of 6 Hz and a gain that came since: with both in the twin
-    nothing is left of it."""
+    nothing is left of it, nor is anything of an unchanged run; the twin's own latency is not counted twice."""
     cutoff, gain = 6.0, 1.2
+    corner = corner.with_changes({"imu.latency": latency})
     low = butter(2, cutoff, fs=200.0, output="sos")
 
     def read(number: int, body: Floats) -> Floats:
@@ -363,6 +367,10 @@ def test_what_a_reference_leaves_passes_the_sensor_of_the_run_after_it(corner: T
     measured = problem.measured.values[own, 0]
     left = np.std(changed.compared(at[:, None])[own, 0, 0] - measured)
     assert left < 0.1 * np.std(measured)
+    reference = slice(own.stop, own.stop + problem.data.rows[1].size)
+    measured = problem.measured.values[reference, 0]
+    left = np.std(problem.compared(np.zeros((problem.shared, 1)))[reference, 0, 0] - measured)
+    assert left < 0.05 * np.std(measured)
 
 
 def test_one_set_of_transducers_has_one_noise(corner: Twin, tmp_path: Path) -> None:

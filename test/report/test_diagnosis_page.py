@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
+from html.parser import HTMLParser
 from typing import Any
 
 import numpy as np
@@ -196,3 +198,44 @@ def test_the_car_from_above_names_every_wheel_and_rings_the_faulty_one():
     assert {"front left\n50 %", "front right", "rear left", "rear right", "sensor"} <= set(texts)
     rings = [line for line in axes.lines if line.get_marker() == "o"]
     assert [tuple(np.ravel(ring.get_data())) for ring in rings] == [(0.0, -0.8)]
+
+
+HOSTILE = (
+    "<script>document.title='owned'</script>",
+    '"><img src=x onerror="document.title=\'owned\'">',
+    "'><svg onload=document.title='owned'>",
+    "</svg><script>document.title='owned'</script>",
+    "javascript:document.title='owned'",
+    "`*_[x](javascript:document.title='owned')",
+)
+
+
+class Acting(HTMLParser):
+    """Collects what of a page could act: scripts, handlers, addresses that are code, frames."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.found += [tag] if tag in ("script", "iframe", "object", "embed", "base", "form", "link") else []
+        for name, value in attrs:
+            address = name in ("href", "src", "xlink:href", "action", "data")
+            code = address and (value or "").strip().lower().startswith(("javascript:", "data:text"))
+            self.found += [f"{tag} {name}"] if name.startswith("on") or code or name == "srcdoc" else []
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_no_name_of_a_vehicle_a_drive_an_effect_or_a_file_becomes_a_part_of_the_page(repository, name):
+    d = document(warnings=[name], next_experiment=name, message=name, cannot_be_judged=[name])
+    d["where"]["time"][0]["bag"] = name
+    d["causes"][0]["effect"] = d["combination"][0] = "corner_damper"
+    d["causes"].append(cause("payload", 0.0, {"mass": 1.0, "x": 0.0, "y": 0.0}, channel="roll_rate"))
+    made = result(repository, d, (drive(name),))
+    vehicle = made.twin.vehicle.model_copy(update={"name": name})
+    road = RoadFile(file=repository / f"{name.replace('/', '')}.crg")
+    made = replace(made, twin=made.twin.model_copy(update={"vehicle": vehicle, "road": road}))
+    html = diagnosis_page(made).render()
+    page = Acting()
+    page.feed(html)
+    assert page.found == []

@@ -52,7 +52,7 @@ class Mqtt(PlainSource):
     steps: Sequence[str] = (
         "In Sensor Logger: Settings > Data Streaming > MQTT: on; the broker's address and its WebSocket port.",
         "The topic is the one above; batch period: the shortest. Tap to Test Publish.",
-        "Sensors: Accelerometer, Gravity (Android: Total Acceleration as well), Gyroscope, Location; 100 Hz or more.",
+        "Sensors: Accelerometer, Gravity (Android: Total Acceleration as well), Gyroscope, Location; 50 Hz or more.",
         "Mount the phone rigidly, start recording, and keep the app in front.",
     )
 

@@ -30,7 +30,7 @@ class SensorLogger(PlainSource):
         "In Sensor Logger: Settings > Data Streaming > HTTP Push: on; batch period: the shortest.",
         "Push URL: the address above; the QR code opens it in the phone's browser, to be copied.",
         "Tap to Test Pushing: it must say that the message was sent.",
-        "Sensors: Accelerometer, Gravity (Android: Total Acceleration as well), Gyroscope, Location; 100 Hz or more.",
+        "Sensors: Accelerometer, Gravity (Android: Total Acceleration as well), Gyroscope, Location; 50 Hz or more.",
         "Mount the phone rigidly, start recording, and keep the app in front.",
     )
 
