@@ -6,6 +6,8 @@
     python3 bootstrap.py test [...]     the tests; what follows goes to pytest
     python3 bootstrap.py check          ruff and mypy alone
     python3 bootstrap.py check --size   counts of the code and their limits; --list names what is counted
+    python3 bootstrap.py check --licences, --sbom   what is installed: licences, bill of materials
+    python3 bootstrap.py check --results   kept results that are older than the code that they measure
     python3 bootstrap.py COMMAND ...    any other command of suspension-twin
     python3 bootstrap.py --locked ...   the same, with the versions of constraints.txt alone
     python3 bootstrap.py lock           write the versions in .venv to constraints.txt, for this Python
@@ -84,9 +86,10 @@ def main(arguments):
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
     env = clean_environment()
     sys.stdout.flush()
-    if command == "check" and "--size" in arguments:
-        counts = os.path.join(ROOT, "test", "house", "size.py")
-        return subprocess.call([PYTHON, counts] + arguments[1:], cwd=ROOT, env=env)
+    programs = {"--size": "size.py", "--licences": "sbom.py", "--sbom": "sbom.py", "--results": "results.py"}
+    for asked in [option for option in arguments if command == "check" and option in programs]:
+        program = os.path.join(ROOT, "test", "house", programs[asked])
+        return subprocess.call([PYTHON, program] + arguments[1:], cwd=ROOT, env=env)
     if command == "check":
         tools = [["ruff", "check", "."], ["mypy"]]
         return max([subprocess.call([PYTHON, "-m"] + tool, cwd=ROOT, env=env) for tool in tools])

@@ -77,7 +77,7 @@ FLEET = ["distributed>=2024.5", "dask>=2024.5", "fsspec>=2024.5", "psutil>=5.9",
 FOXGLOVE = ["foxglove-sdk>=0.14"]
 SCAN = ["laspy>=2.5", "lazrs>=0.6", "plyfile>=1.0", "pyproj>=3.6"]
 MDF = ["asammdf>=7.3"]
-DOCS = ["mkdocs>=1.6", "mkdocs-material>=9.5", "mkdocstrings[python]>=0.26", "latex2mathml>=3.77"]
+DOCS = ["sphinx>=8.1", "myst-nb>=1.2", "furo>=2024.8", "latex2mathml>=3.77"]
 
 
 def data_files() -> list[tuple[str, list[str]]]:
@@ -88,7 +88,8 @@ def data_files() -> list[tuple[str, list[str]]]:
     }
     bundled = [*(HERE / "launch").glob("*.launch.py")]
     for folder in ("config", "bags"):  # without the programs that made the bags
-        bundled += [p for p in (HERE / folder).rglob("*") if p.is_file() and p.suffix not in (".py", ".pyc")]
+        made_by = (".pyc", ".py") if folder == "bags" else (".pyc",)
+        bundled += [p for p in (HERE / folder).rglob("*") if p.is_file() and p.suffix not in made_by]
     for path in sorted(p.relative_to(HERE) for p in bundled):
         files.setdefault(SHARE / path.parent, []).append(path)
     return [(str(target), [str(f) for f in sources]) for target, sources in files.items()]
@@ -118,7 +119,19 @@ setup(
     },
     packages=find_packages(include=["suspension_twin", "suspension_twin.*"]),
     package_data={
-        "": ["py.typed", "*.html", "*.j2", "*.css", "*.js", "*.json", "*.yaml", "*.c", "*.h", "*.xml"]
+        "": [
+            "py.typed",
+            "*.html",
+            "*.j2",
+            "*.css",
+            "*.js",
+            "*.json",
+            "*.yaml",
+            "*.c",
+            "*.h",
+            "*.xml",
+            "*.LICENSE",
+        ]
     },
     data_files=data_files(),
     entry_points={

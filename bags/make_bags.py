@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""Makes the two bundled drives: ``python bags/make_bags.py [--out DIR] [--only NAME]``.
+"""Makes the bundled drives: ``python bags/make_bags.py [--out DIR] [--only NAME]``.
 
 A MuJoCo car (``reality/``) is driven over a surface and measured by a simulated phone and RTK
-receiver. The same seeds give the same drives. Needs ``mujoco`` (the extra ``test``).
+receiver, or by the phone alone. The same seeds give the same drives. Needs ``mujoco`` (the extra ``test``).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ sys.path.insert(0, str(HERE))
 from reality import scenes  # noqa: E402
 from reality.car import STEP, Car, Rig, Strut  # noqa: E402
 from reality.scenes import MONDEO, Scene  # noqa: E402
-from reality.sensors import Phone, Receiver, phone_samples, receiver_fixes  # noqa: E402
+from reality.sensors import phone_samples, receiver_fixes  # noqa: E402
 from scipy.spatial.transform import Rotation  # noqa: E402
 
 from suspension_twin.drive import types  # noqa: E402
@@ -76,8 +76,8 @@ def simulate(scene: Scene, seconds: float | None = None) -> Recording:
         felt[k] = rig.data.sensordata
     t = np.arange(count) * STEP
     turns = Rotation.from_euler("xyz", poses[:, 3:6])
-    antenna = poses[:, :3] + turns.apply(scenes.ANTENNA_PLACE)
-    phone, receiver = Phone(), Receiver()
+    antenna = poses[:, :3] + turns.apply(scene.antenna)
+    phone, receiver = scene.phone, scene.receiver
     stamps, force, rate = phone_samples(t, felt[:, :3], felt[:, 3:], phone, scene.start_time, scene.seed)
     fix_t, geodetic, velocity = receiver_fixes(
         t[::CONTROL], antenna, receiver, scene.datum, scene.start_time, scene.seed + 100
@@ -91,7 +91,8 @@ def simulate(scene: Scene, seconds: float | None = None) -> Recording:
             geodetic[:, 0],
             geodetic[:, 1],
             geodetic[:, 2],
-            status=np.full(fix_t.size, 2, dtype=np.int8),  # GBAS: a base station's corrections
+            # GBAS: a base station's corrections
+            status=np.full(fix_t.size, 0 if alone(scene) else 2, dtype=np.int8),
             sigma=np.tile([spread, spread, receiver.vertical * spread], (fix_t.size, 1)),
         ),
         velocity=types.VelocityData(fix_t, velocity),
@@ -114,6 +115,11 @@ def simulate(scene: Scene, seconds: float | None = None) -> Recording:
     truth = {"t": scene.start_time + t[::TRUTH]} | {n: rows[:, i] for i, n in enumerate(names)}
     truth |= {"speed": rows[:, 10], "vertical_acceleration": ideal[:, 2] - tilt}
     return Recording(drive, truth)
+
+
+def alone(scene: Scene) -> bool:
+    """Whether a phone recorded the scene by itself: its road is for the reader to measure and to place."""
+    return scene.antenna == scenes.PHONE_PLACE
 
 
 def road_file(scene: Scene) -> Road:
@@ -172,6 +178,14 @@ def _axle(strut: Strut) -> dict[str, object]:
 def _twin(scene: Scene, front: object, rear: object, inertia: object, tyre: float, name: str) -> Twin:
     car: Car = MONDEO
     latitude, longitude, altitude = scene.datum
+    somewhere = (
+        {}
+        if alone(scene)
+        else {
+            "datum": {"latitude": round(latitude, 9), "longitude": round(longitude, 9), "altitude": altitude},
+            "road": {"file": "road.crg"},
+        }
+    )
     return parse_twin(
         {
             "model": "full_car",
@@ -188,9 +202,8 @@ def _twin(scene: Scene, front: object, rear: object, inertia: object, tyre: floa
                 "rear": rear,
             },
             "imu": {"frame": "imu_link", "position": list(scenes.PHONE_PLACE), "rpy": list(scenes.PHONE_RPY)},
-            "gps": {"frame": "gps_link", "position": list(scenes.ANTENNA_PLACE)},
-            "datum": {"latitude": round(latitude, 9), "longitude": round(longitude, 9), "altitude": altitude},
-            "road": {"file": "road.crg"},
+            "gps": {"frame": "gps_link", "position": list(scene.antenna)},
+            **somewhere,
         }
     )
 
@@ -205,6 +218,9 @@ def write(scene: Scene, recording: Recording, folder: Path) -> None:
             stale.unlink()
         for file in made.iterdir():
             shutil.move(str(file), folder / file.name)
+    if alone(scene):
+        save_twin(preset_twin(scene), folder / "car.yaml")
+        return
     write_road(
         road_file(scene), folder / "road.crg", comment=f"{scene.title}. Simulated, made by bags/make_bags.py."
     )

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A corner on a test rig in MuJoCo: runs for a twin that has not seen it, with an effect drawn by a seed.
 
-    python benchmarks/rig.py --out DIR [--seed N] [--effect ID] [--diagnose N] [--json]
+    python benchmarks/rig.py --out DIR [--seed N] [--effect ID] [--diagnose N] [--seeded [--folder RUNS]] [--json]
 
 Wheel, sprung mass and the road's plate are MuJoCo's slide joints; tyre and stops are its tendons with a dead band,
 so that a wheel can leave the plate; dry friction is its constraint; the mount of a damper is a body of its own. The
@@ -14,6 +14,10 @@ command reads. Then, as with any rig:
 
 ``--diagnose N`` makes N cases and diagnoses each, all effects in turn. ``--loggers`` calibrates the corner on a random
 road as different loggers record it, and says what that explains of drops.
+
+``--seeded`` takes runs of programs that were repeated, of this corner on an actuator that repeats to 5 %, or those in
+``--folder`` (CSV, as ``import --mapping`` writes them). The last run of each program is diagnosed with the others as
+references, by a twin that was calibrated on these: as it is, and with a change of the sensor seeded into its responses.
 """
 
 from __future__ import annotations
@@ -36,11 +40,13 @@ from scipy.signal import butter, lfilter, sosfilt, sosfilt_zi
 
 from suspension_twin.calibration.request import CalibrationRequest
 from suspension_twin.calibration.run import calibrate
+from suspension_twin.diagnosis.case import SHORTEST
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.diagnosis.run import diagnose
 from suspension_twin.drive.rig import RigRecord, read_rig, write_rig
 from suspension_twin.inference.linear_corner import linear_corner
-from suspension_twin.inference.runs import observe_runs, simulate_rig
+from suspension_twin.inference.runs import observe_runs, repeats, simulate_rig
+from suspension_twin.models.quarter_car import CHANNELS
 from suspension_twin.vehicle.twin import Twin, load_twin, save_twin
 
 try:
@@ -168,10 +174,16 @@ def run_of(
     rng: np.random.Generator,
     program: int = 0,
     displacements: bool = False,
+    astray: float = 0.0,
 ) -> RigRecord:
     """One run as its transducers record it, or as ones of ``displacements`` do; runs of one ``program`` have the same
-    road."""
+    road, but for an actuator that goes ``astray`` by this share of it."""
     model, curve = model_of(c), road(kind, seconds, np.random.default_rng(program))
+    if astray:
+        off = road("random", seconds, rng)
+        curve = CubicSpline(
+            curve.x, curve(curve.x) + astray * np.std(curve(curve.x)) * off(curve.x) / np.std(off(curve.x))
+        )
     data, step = mujoco.MjData(model), step_of(c)
     t, rest = np.arange(0.0, seconds, 1.0 / RATE), round(SETTLE / step)
     dense = np.arange(round(seconds / step)) * step
@@ -327,6 +339,93 @@ def diagnosed(out: Path, seed: int, count: int, seconds: float) -> list[dict[str
     return found
 
 
+def _of_acceleration(change: Callable[[np.ndarray, float], np.ndarray]) -> Callable[[RigRecord], RigRecord]:
+    """A change of what the accelerometer on the body reads, gravity included, at a rate in Hz."""
+
+    def changed(record: RigRecord) -> RigRecord:
+        rate = (record.t.size - 1) / float(record.t[-1] - record.t[0])
+        read = change(record.columns["body_acceleration"] + GRAVITY, rate) - GRAVITY
+        return replace(record, columns={**record.columns, "body_acceleration": read})
+
+    return changed
+
+
+def _late(record: RigRecord) -> RigRecord:
+    """The run with all responses 20 ms late."""
+    columns = {
+        name: values if name in INPUTS else np.interp(record.t - 0.02, record.t, values)
+        for name, values in record.columns.items()
+    }
+    return replace(record, columns=columns)
+
+
+def _low_passed(values: np.ndarray, rate: float) -> np.ndarray:
+    sos = butter(2, 6.0, fs=rate, output="sos")
+    return np.asarray(sosfilt(sos, values, zi=sosfilt_zi(sos) * values[0])[0])
+
+
+INPUTS = ("road_displacement", "road_velocity", "actuator_force")
+#: Changes that are seeded, by the id of the effect that they are: the range is half of the largest swing over gravity.
+SEEDED: dict[str, Callable[[RigRecord], RigRecord]] = {
+    "none": lambda record: record,
+    "time_offset": _late,
+    "sensor_bandwidth": _of_acceleration(_low_passed),
+    "sensor_scale": _of_acceleration(lambda values, rate: 1.15 * values),
+    "sensor_clipping": _of_acceleration(
+        lambda values, rate: np.minimum(values, GRAVITY + 0.5 * np.max(values - GRAVITY))
+    ),
+}
+
+
+def repeated(out: Path, seed: int, seconds: float) -> list[Path]:
+    """Three runs of two programs of the corner each, long enough for a diagnosis to hold some of them out."""
+    paths, seconds = [], max(seconds, SHORTEST + 2.0)
+    for program, kind in enumerate(("sweep", "random")):
+        for number in range(3):
+            rng = np.random.default_rng([seed, program, number])
+            paths.append(out / "runs" / f"{kind}_{number}.csv")
+            run = run_of(Corner(), kind, seconds, rng, seed + program, True, 0.05)
+            write_rig(run, paths[-1], f"{kind}, simulated by benchmarks/rig.py")
+    return paths
+
+
+def seeded(out: Path, seed: int, paths: list[Path], twin: Path) -> list[dict[str, str]]:
+    """What the diagnosis says of the last run of each program, as it is and with each seeded change."""
+    files = [str(path) for path in paths]
+    runs = observe_runs(load_twin(twin), files)
+    last = [not any(repeats(run, later) for later in runs[i + 1 :]) for i, run in enumerate(runs)]
+    known = tuple(file for file, shown in zip(files, last, strict=True) if not shown)
+    found = calibrate(CalibrationRequest(str(twin), known)).twin
+    save_twin(found, out / "corner.yaml")
+    rows = []
+    for file in (file for file, shown in zip(files, last, strict=True) if shown):
+        record = read_rig(file)
+        channels = {name: record.channel(name) for name in CHANNELS}
+        inputs = {name: values for name, values in record.columns.items() if name in INPUTS}
+        plain = replace(record, columns=inputs | {n: v for n, v in channels.items() if v is not None})
+        for effect, change in SEEDED.items():
+            path = out / "seeded" / f"{record.name}_{effect}.csv"
+            write_rig(change(plain), path, f"{record.name}, {effect} seeded by benchmarks/rig.py")
+            began = time.process_time()
+            document = diagnose(
+                DiagnosisRequest(str(out / "corner.yaml"), (str(path),), known, seed)
+            ).document
+            named = document["combination"]
+            right = named == ([] if effect == "none" else [effect]) and document["verdict"] != "unknown"
+            row = {
+                "run": record.name,
+                "seeded": effect,
+                "verdict": document["verdict"],
+                "named": ", ".join(named),
+                "probability": f"{document['probability']:.2f}",
+                "right": "yes" if right else "wrong" if named and named != [effect] else "no",
+                "processor, s": f"{time.process_time() - began:.0f}",
+            }
+            rows.append(row)
+            print(json.dumps(row), file=sys.stderr, flush=True)
+    return rows
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", type=Path, required=True, help="folder for the case")
@@ -340,11 +439,26 @@ def main() -> int:
     parser.add_argument(
         "--loggers", action="store_true", help="calibrate the corner as each kind of logger records it"
     )
+    parser.add_argument(
+        "--seeded", action="store_true", help="diagnose repeats as they are and with seeded changes"
+    )
+    parser.add_argument("--folder", type=Path, help="measured runs for --seeded, CSV")
+    parser.add_argument(
+        "--twin",
+        type=Path,
+        default=ROOT / "config" / "twins" / "quarter_car.yaml",
+        help="where these start from",
+    )
     given = parse_options(parser, seconds=5.0)
-    if given.diagnose or given.loggers:
+    if given.diagnose or given.loggers or given.seeded:
         answers: list[dict[str, float | str]] | list[dict[str, str]]
         if given.loggers:
             answers = recorded(given.out, given.seed, given.seconds)
+        elif given.seeded:
+            measured = sorted(given.folder.glob("*.csv")) if given.folder else None
+            answers = seeded(
+                given.out, given.seed, measured or repeated(given.out, given.seed, given.seconds), given.twin
+            )
         else:
             answers = diagnosed(given.out, given.seed, given.diagnose, given.seconds)
         title = "Explained variance of drops that were not used" if given.loggers else "Diagnoses"

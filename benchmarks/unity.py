@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a game receives of a twin through Unity's ROS-TCP-Endpoint: loss and latency at 100 Hz.
+"""What a game receives of a twin through Unity's ROS-TCP-Endpoint: loss and latency at 60 Hz.
 
 ``--endpoint`` is a folder with the endpoint's sources (branch main-ros2), which are run as they are. The twin replays a
 bundled drive; a client that speaks the endpoint's protocol (length, destination, length, CDR) subscribes as a Unity

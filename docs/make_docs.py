@@ -6,7 +6,7 @@
     python docs/make_docs.py pictures [NAME...]
 
 ``tables`` writes the generated parts, each between its marks: commands in commands.md, nodes, topics, services,
-actions and message definitions in interfaces.md, node parameters in parameters.md, effects in effects.md; of all these
+actions and message definitions in interfaces.md, effects in effects.md; of all these
 pages, or of those that are named: ``tables effects`` needs no ROS. A test says when one has fallen behind.
 ``pictures`` draws the pictures of this folder, or those that are named (demo, effects, damping, diagnosis, plan, rig);
 all of them take some minutes.
@@ -45,21 +45,24 @@ CARRIES = {
         "`imu.frame` of the twin file",
         "specific force m/s², angular rate rad/s, the sensor's axes",
     ),
-    "imu/data": (_BASE, "the same without biases, low-passed, gravity kept: m/s², rad/s"),
+    "imu/data": (
+        _BASE,
+        "specific force m/s² and angular rate rad/s without biases, low-passed, gravity kept",
+    ),
     "imu/vertical_acceleration": (_BASE, "`accel.linear.z` m/s², gravity removed, low-passed"),
     "fix": (
         "`gps.frame` of the twin file",
         "latitude and longitude in degrees, altitude in m (WGS 84), covariance m²",
     ),
-    "vel": ("any", "`twist.linear` m/s: x east, y north, z up"),
-    "heading": ("any", "optional; yaw of the vehicle from east, counter-clockwise"),
+    "vel": ("any frame", "`twist.linear` m/s: x east, y north, z up"),
+    "heading": ("any frame", "optional; yaw of the vehicle from east, counter-clockwise"),
     "odom": (
         "`map`, child `base_link` or a sensor's",
         "in place of `fix`, `vel` and `heading`: pose m, speeds m/s in the child's axes; covariances",
     ),
     "pose": ("`map`", "in place of `fix`: `base_link` in a game engine or a motion capture, m"),
-    "transform": ("`map`, child `base_link` or a sensor's", "the same as a transform"),
-    "fix_velocity": ("any", "in place of `vel`: m/s, x east, y north; covariance"),
+    "transform": ("`map`, child `base_link` or a sensor's", "in place of `fix`, as a transform"),
+    "fix_velocity": ("any frame", "in place of `vel`: m/s, x east, y north; covariance"),
     "twin/odom": (
         "`map`, child `base_link`",
         "pose m and speed m/s, locked to the vehicle in x, y and yaw; covariance, along the road that of a felt place",
@@ -84,7 +87,8 @@ CARRIES = {
     "tf_static": (_BASE, "`imu_link` and `gps_link`"),
     "robot_description": ("", "URDF of the vehicle, with the joints of `joint_states`"),
 }
-_HEADS = ("parameter", "unit", "range", "neutral", "prior", "what")
+#: Models of an effect that names none on its page.
+_USUAL_MODELS = ("full_car", "quarter_car")
 #: Titles of the sections of effects.md, by where an effect acts.
 WHERE = {
     "strut": "In the struts",
@@ -107,7 +111,6 @@ def parts() -> dict[Path, dict[str, Callable[[], str]]]:
             "calls": calls,
             "definitions": definitions,
         },
-        HERE / "parameters.md": {"parameters": parameters},
         HERE / "effects.md": {"effects": effects},
     }
 
@@ -221,25 +224,12 @@ def _topic(name: str) -> str:
 
 
 def nodes() -> str:
-    """The nodes, each with its topics, services and actions."""
-    rows = []
-    for name, of in _graph().items():
-        given = [f"`{service}`" for service, _ in of["services"]]
-        served = ", ".join(given + [f"action `{action}`" for action, _ in of["actions"]])
-        rows.append(
-            [
-                f"`{name}`",
-                DOES[name],
-                ", ".join(f"{_topic(t)} {kind.replace('/msg', '')}" for t, kind in of["in"]),
-                ", ".join(_topic(t) for t, _ in of["out"]),
-                served,
-            ]
-        )
-    return table(["node", "does", "subscribes", "publishes", "services and actions"], rows)
+    """The nodes, each with what it does."""
+    return "".join(f"- `{name}`: {DOES[name]}\n" for name in _node_classes())
 
 
 def topics() -> str:
-    """Every topic with its type and the nodes at both of its ends."""
+    """Every topic with its type, the nodes at both of its ends, its frame, and its content; inputs first."""
     kinds: dict[str, str] = {}
     latched: set[str] = set()
     ends: dict[str, tuple[list[str], list[str]]] = {}
@@ -249,59 +239,40 @@ def topics() -> str:
             for topic, kind in of[way]:
                 kinds[topic] = kind
                 ends.setdefault(topic, ([], []))[side].append(name)
-    rows = []
+    inputs: list[str] = []
+    outputs: list[str] = []
     for topic, kind in kinds.items():
         into, out = (", ".join(f"`{n}`" for n in names) for names in ends[topic])
-        sensor = out in ("", "`source`")
-        quality = "latched" if topic in latched else "best effort" if sensor else "reliable"
         frame, content = CARRIES[topic.removeprefix("/")]
-        ends_of = f"{'sensors, `source`' if sensor else out} → {into or 'you'}"
-        rows.append([_topic(topic), f"`{kind.replace('/msg', '')}`", ends_of, quality, frame, content])
-    return table(["topic", "type", "from → to", "QoS", "frame", "content and units"], rows)
+        way = f" → {into}" if out in ("", "`source`") else f", {out}{' → ' + into if into else ''}"
+        said = (
+            f"- {_topic(topic)} `{kind.replace('/msg', '')}`{way}{', latched' if topic in latched else ''}. "
+        )
+        (inputs if out in ("", "`source`") else outputs).append(
+            f"{said}{frame + ': ' if frame else ''}{content}\n"
+        )
+    return (
+        f"\nFrom sensors, or the node `source`:\n\n{''.join(inputs)}\nFrom the nodes:\n\n{''.join(outputs)}\n"
+    )
 
 
 def calls() -> str:
     """Services and actions."""
-    rows = []
+    text = ""
     for name, of in _graph().items():
         for what in ("services", "actions"):
-            rows += [[f"`{name}`", what[:-1], f"`{call}`", f"`{kind}`"] for call, kind in of[what]]
-    return table(["node", "what", "name", "type"], rows)
+            text += "".join(f"- {what[:-1]} `{call}` of `{name}`: `{kind}`\n" for call, kind in of[what])
+    return text
 
 
 def definitions() -> str:
-    """The project's own messages, services and actions as they are defined."""
+    """The project's own messages, services and actions with the first line of their files."""
     text = ""
     for folder in ("msg", "srv", "action"):
         for path in sorted((INTERFACES / folder).glob(f"*.{folder}")):
-            text += f"\n### {path.stem}\n\n```text\n{path.read_text(encoding='utf-8').strip()}\n```\n"
-    return text + "\n"
-
-
-def parameters() -> str:
-    """The parameters of every node."""
-    from suspension_twin.nodes.base import COMMON
-
-    text, classes = "", _node_classes()
-    groups = {"every node": COMMON} | {
-        name: (*kind.common[len(COMMON) :], *kind.parameters) for name, kind in classes.items()
-    }
-    for name, declared in groups.items():
-        rows = []
-        for p in declared:
-            bounds = f"{p.low:g} to {p.high:g}" if p.low is not None else "fixed" if p.read_only else ""
-            rows.append([f"`{p.name}`", _default(p.default), bounds, p.text])
-        title = name if name == "every node" else f"`{name}`"
-        text += (
-            f"\n## {title[0].upper()}{title[1:]}\n\n{table(['parameter', 'default', 'range', 'what'], rows)}"
-        )
-    return text + "\n"
-
-
-def _default(value: Any) -> str:
-    if isinstance(value, bool):
-        return f"`{str(value).lower()}`"
-    return "`''`" if value == "" else f"`{value}`"
+            says = path.read_text(encoding="utf-8").splitlines()[0].removeprefix("# ")
+            text += f"- [`{path.stem}`](../{path.relative_to(ROOT).as_posix()}): {says}\n"
+    return text
 
 
 # -- effects -------------------------------------------------------------------------------------
@@ -321,16 +292,39 @@ def effects() -> str:
 def _effect(e: Any) -> str:
     from suspension_twin.diagnosis.library import DECOYS
 
-    tables = table(_HEADS, [_parameter(p, p.name in e.severity) for p in e.parameters])
-    for model, variant in e.variants.items():
-        rows = [_parameter(p, p.name in e.severity) for p in variant.parameters]
-        tables += f"\nOn `{model}`:\n\n{table(_HEADS, rows)}" if variant.parameters != e.parameters else ""
-    decoy = " Used by the diagnosis as a [decoy hypothesis](diagnosis.md#decoy-hypotheses)."
+    decoy = " A [decoy hypothesis](diagnosis.md#decoy-hypotheses)." if e.id in DECOYS else ""
+    title = "" if e.title.replace("-", " ") == e.id.replace("_", " ") else f": {e.title}"
+    models = "" if e.models == _USUAL_MODELS else f" Models: {', '.join(f'`{m}`' for m in e.models)}."
     return (
-        f"\n### `{e.id}`: {e.title}\n\n{e.doc}\n\n{tables}\n"
-        f"Excited by {'; '.join(e.excited_by)}. Easily confused with {'; '.join(e.confused_with)}. "
-        f"For {', '.join(f'`{m}`' for m in e.models)}.{_common(e)}{decoy if e.id in DECOYS else ''}\n"
+        f"\n### `{e.id}`{title}\n\n{e.doc}\n\n{''.join(_lines(e))}\n"
+        f"Excited by: {'; '.join(e.excited_by)}. Confused with: {'; '.join(e.confused_with)}."
+        f"{models}{_common(e)}{decoy}{_variants(e)}\n"
     )
+
+
+def _lines(e: Any) -> Iterable[str]:
+    """A line for each parameter; front and rear share one where they differ in nothing but the axle."""
+    given = {p.name: p for p in e.parameters}
+    for name, p in given.items():
+        rear = given.get(name.replace("front", "rear"), p)
+        front = given.get(name.replace("rear", "front"), p)
+        if rear is not p and _size(rear) == _size(p):
+            both = re.sub(r", front$|\bfront ", "", p.doc)
+            yield f"- {_name(e, p)}, {_name(e, rear)} {_size(p)}: {both}\n"
+        elif front is p or _size(front) != _size(p):
+            yield f"- {_parameter(e, p)}\n"
+
+
+def _variants(e: Any) -> str:
+    """In which parameters an effect differs on other models, but for axle and corner of a single corner."""
+    text, base = "", {p.name: p for p in e.parameters}
+    for model, variant in e.variants.items():
+        own = {p.name: p for p in variant.parameters}
+        missing = [f"`{name}`" for name in base if name not in own and not re.match("rear|corner", name)]
+        parts = [f"without {', '.join(missing)}"] * bool(missing)
+        parts += [_parameter(e, p) for name, p in own.items() if p != base.get(name)]
+        text += f" On `{model}`: {'; '.join(parts)}." if parts else ""
+    return text
 
 
 def _common(e: Any) -> str:
@@ -341,11 +335,21 @@ def _common(e: Any) -> str:
     return "" if usual is None else f" Up to {usual.prior.usual:g} {usual.unit or 'of change'} is normal."
 
 
-def _parameter(p: Any, severe: bool) -> list[str]:
-    prior = f"{p.prior.typical:g} {'×/÷' if p.prior.log else '±'} {p.prior.spread:g}"
-    name = f"**`{p.name}`**" if severe else f"`{p.name}`"
-    bounds = f"{p.lower:g} to {p.upper:g}"
-    return [name, p.unit or "–", bounds, f"{p.neutral:g}", "each value" if p.choices else prior, p.doc]
+def _name(e: Any, p: Any) -> str:
+    return f"**`{p.name}`**" if p.name in e.severity else f"`{p.name}`"
+
+
+def _size(p: Any) -> str:
+    """Unit, range, prior, and the value of a parameter that is not given where that is not 0."""
+    prior = f"{p.prior.typical:g} {'×/÷' if p.prior.log else '±'} {round(p.prior.spread, 4):g}"
+    neutral = [f"neutral {p.neutral:g}"] if p.neutral else []
+    return ", ".join(
+        [p.unit] * bool(p.unit) + [f"[{p.lower:g}, {p.upper:g}]"] + [prior] * (not p.choices) + neutral
+    )
+
+
+def _parameter(e: Any, p: Any) -> str:
+    return f"{_name(e, p)} {_size(p)}: {p.doc}"
 
 
 # -- pictures ------------------------------------------------------------------------------------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The two drives: the car, the ground, the way driven and where the instruments sit.
+"""The drives: the car, the ground, the way driven and where the instruments sit.
 
 From the car paper: the coordinates of both places (Figs. 1 and 8), Table 1's vehicle with its
 driver and passenger, the phone at the windshield at 100 Hz, 15 km/h over the bump, a road of
@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
 from reality.car import Car, Strut
 from reality.driver import Driver, Path, speed_over_path
+from reality.sensors import ALONE, Phone, Receiver
 from reality.surface import Surface, roughness
 
 Floats = NDArray[Any]
@@ -77,6 +78,9 @@ class Scene:
     start: tuple[float, float, float, float]  # x, y, yaw of base_link, u on the road
     driver: Callable[[], Driver]
     seed: int
+    phone: Phone = Phone()
+    receiver: Receiver = Receiver()
+    antenna: tuple[float, float, float] = ANTENNA_PLACE
 
 
 def bump_15kmh() -> Scene:
@@ -117,6 +121,21 @@ def bump_15kmh() -> Scene:
         start=(x, y, heading, u0),
         driver=lambda: Driver(path, speed, MONDEO.mass, MONDEO.wheelbase, stand=4.0),
         seed=1,
+    )
+
+
+def bump_phone() -> Scene:
+    """The same passes, recorded by a phone alone, whose own receiver is in it."""
+    phone, receiver = ALONE
+    return replace(
+        bump_15kmh(),
+        name="bump_phone",
+        title="The speed bump, recorded by a phone alone",
+        start_time=1_700_007_200.0,
+        seed=3,
+        phone=phone,
+        receiver=receiver,
+        antenna=PHONE_PLACE,
     )
 
 
@@ -189,4 +208,4 @@ def dms(degrees: int, minutes: int, seconds: float) -> float:
     return degrees + minutes / 60 + seconds / 3600
 
 
-SCENES = {"bump_15kmh": bump_15kmh, "crg_road": crg_road}
+SCENES = {"bump_15kmh": bump_15kmh, "bump_phone": bump_phone, "crg_road": crg_road}

@@ -47,6 +47,18 @@ class Receiver:
     velocity: float = 0.02  # m/s
     # The vertical of a fix is twice as noisy as the horizontal.
     vertical: float = 2.0
+    late: float = 0.0  # s, stamps behind the motion
+    settled: bool = False  # the slow error has its full size from the first fix on
+
+
+#: A phone without a receiver beside it: 67 Hz, half of that as bandwidth, stamps off by a millisecond; positions off by
+#: metres that change over a minute, once a second and late, velocities by the Doppler shift.
+ALONE = (
+    Phone(rate=67.0, bandwidth=27.0, jitter=1e-3),
+    Receiver(
+        rate=1.0, white=0.1, wander=2.5, wander_time=60.0, velocity=0.1, vertical=2.0, late=0.4, settled=True
+    ),
+)
 
 
 def _chain(signal: Floats, dt: float, phone: Phone, with_mount: bool) -> Floats:
@@ -103,9 +115,11 @@ def receiver_fixes(
     velocity = (antenna[index + 4] - antenna[index - 4]) / (8 * dt)
     draw = np.random.default_rng(seed).standard_normal((index.size, 9))
     keep = np.exp(-1 / receiver.rate / receiver.wander_time)
+    if receiver.settled:
+        draw[0, :3] /= np.sqrt(1 - keep**2)
     wander = lfilter([np.sqrt(1 - keep**2)], [1.0, -keep], draw[:, :3], axis=0) * receiver.wander
     scale = np.array([1.0, 1.0, receiver.vertical])
     place = antenna[index] + (wander + receiver.white * draw[:, 3:6]) * scale
     velocity = velocity + receiver.velocity * draw[:, 6:] * scale
     geodetic = np.column_stack(pymap3d.enu2geodetic(place[:, 0], place[:, 1], place[:, 2], *datum))
-    return start + t[index], geodetic, velocity
+    return start + t[index] + receiver.late, geodetic, velocity

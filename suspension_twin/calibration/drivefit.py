@@ -13,6 +13,7 @@ from suspension_twin.calibration.recorder import SearchOutcome
 from suspension_twin.calibration.request import DriveFit
 from suspension_twin.calibration.searches import costs_of
 from suspension_twin.calibration.setup import Setup, problem_of
+from suspension_twin.calibration.squares import on_taped_road
 from suspension_twin.inference.gap import main_channel
 from suspension_twin.inference.nuisance import OF_A_CALIBRATION
 from suspension_twin.inference.objectives import Term
@@ -31,12 +32,13 @@ def drive_fits(setup: Setup, outcome: SearchOutcome, after: Twin, values: Floats
     for number, drive in enumerate(setup.drives):
         if setup.problem.simulation.stop():
             raise Interrupted
-        drive = seen = _displaced(drive, outcome)
-        if drive.reading is not None and after.imu != drive.twin.imu:
+        given, drive = drive, _displaced(drive, outcome)
+        seen = drive
+        if given.reading is not None and after.imu != given.twin.imu:
             # another latency or mounting gives other measured signals and another motion
-            seen = observe(drive.reading.drive, after, drive.road, drive.settings)
+            seen = observe(given.reading.drive, after, given.road, given.settings)
             place = setup.placements[number]
-            seen = seen if place is None else _displaced(place.moved(seen), outcome)
+            seen = _displaced(seen if place is None else place.moved(seen), outcome)
         sides = [part.simulated(twin) for part, twin in ((drive, setup.original), (seen, after))]
         if not setup.on_road:  # some may validate
             number = next((k for k, part in enumerate(data.parts) if part is drive), -1)
@@ -56,6 +58,7 @@ def drive_fits(setup: Setup, outcome: SearchOutcome, after: Twin, values: Floats
                 measured=dict(seen.measured),
                 before=sides[0],
                 after=sides[1],
+                received=_received(setup, number, given),
                 compared=_compared_mask(data, drive, number)
                 if setup.on_road
                 else np.ones(drive.t.size, dtype=np.bool_),
@@ -64,14 +67,21 @@ def drive_fits(setup: Setup, outcome: SearchOutcome, after: Twin, values: Floats
     return tuple(found)
 
 
+def _received(setup: Setup, number: int, drive: Observation) -> Floats | None:
+    """(m,) m along the road by the receiver, where a drive was placed."""
+    place = setup.placements[number] if setup.placements else None
+    return None if place is None else drive.displaced(place.t, -place.ahead, -place.left).position
+
+
 def _displaced(drive: Observation, outcome: SearchOutcome) -> Observation:
-    """A whole drive moved by the receiver's error that was found at the knots of its parts."""
+    """A whole drive on the road that was found, moved by the receiver's error at the knots of its parts."""
     nuisances, data = outcome.problem.nuisances, outcome.problem.data
     own = [k for k, part in enumerate(data.parts) if part.name == drive.name]
     knots = [nuisances.wander_of(number, outcome.nuisance) for number in own]
     t, ahead = (
         (np.concatenate(columns) for columns in zip(*knots, strict=True)) if knots else (np.empty(0),) * 2
     )
+    drive = on_taped_road(drive, nuisances, outcome.nuisance)
     return drive.displaced(t, ahead) if t.size else drive
 
 
@@ -97,7 +107,7 @@ def paper_distance(setup: Setup, twin: Twin) -> float:
         return float("nan")
     data, distance = setup.problem.data, (Term("euclidean", "vertical_acceleration"),)
     problem, objective = problem_of(
-        twin, Space(twin, ()), data, distance, replace(OF_A_CALIBRATION, wander=0.0)
+        twin, Space(twin, ()), data, distance, replace(OF_A_CALIBRATION, wander=0.0, tape=0.0)
     )
     nothing = np.zeros((0, 1))
     return float(costs_of(problem, objective, nothing, np.zeros(problem.q), synchronise=True)[0])

@@ -37,6 +37,9 @@ __all__ = ["conclude", "unfinished"]
 
 _DIGITS = 7
 LATENCY = "imu.latency"
+_ONE_PASS = (
+    "one pass over what excites: nothing can be held out, how well the twin predicts another is not known"
+)
 
 
 def unfinished(request: CalibrationRequest, twin: Twin, seconds: float) -> CalibrationResult:
@@ -73,6 +76,7 @@ def conclude(recorder: Recorder, outcome: SearchOutcome, start: float, began: fl
     values = np.clip(_rounded(outcome.values), space.lower, space.upper)
     sensor = sensor_estimates(setup, outcome, found, request.keep_sensor) if found and setup.on_road else ()
     estimates = _estimates(setup, values, found)
+    nuisances = _nuisances(outcome, found)
     twin = _with_uncertainty(with_sensor(space.applied(setup.twin, values), sensor), estimates)
     try:
         if not stopped:
@@ -92,7 +96,7 @@ def conclude(recorder: Recorder, outcome: SearchOutcome, start: float, began: fl
         objective=recorder.objective,
         seed=request.seed,
         estimates=estimates,
-        nuisances=_nuisances(outcome, found),
+        nuisances=nuisances,
         sensor=sensor,
         curves=curve_estimates(setup, twin, found) if found else (),
         drives=drives,
@@ -107,10 +111,12 @@ def conclude(recorder: Recorder, outcome: SearchOutcome, start: float, began: fl
         seconds=time.monotonic() - began,
         warnings=(
             *setup.warnings,
+            *_against_the_tape(outcome, nuisances),
             *_early(sensor),
             *_late(setup, values, found),
             *_remarks(drives, setup, values),
             *_absorbed(found),
+            *([_ONE_PASS] if found is not None and not stopped and measure is None else []),
         ),
     )
 
@@ -162,6 +168,23 @@ def _remarks(drives: tuple[DriveFit, ...], setup: Setup, values: Floats) -> list
         else:
             remarks.append(f"the calibrated twin is farther from {d.name} than the one it started from{tail}")
     return remarks
+
+
+#: Errors of a tape in words, where they are positive and where they are not.
+_TAPE = {"height": ("higher", "lower"), "length": ("longer", "shorter"), "place": ("farther on", "nearer")}
+
+
+def _against_the_tape(outcome: SearchOutcome, nuisances: Sequence[NuisanceEstimate]) -> list[str]:
+    """A line for each size that differs from the tape by more than its standard deviation."""
+    taped, lines = outcome.problem.nuisances.taped, []
+    for n in nuisances:
+        if taped is None or not n.name.startswith("tape.") or abs(n.value) <= n.prior:
+            continue
+        _, number, kind = n.name.split(".")
+        off, sure = 1e3 * abs(n.value), 1e3 * HALF_WIDTH * n.sigma
+        how = _TAPE[kind][n.value < 0.0]
+        lines.append(f"{taped.features[int(number)]}: found {off:.0f} mm {how} than by tape (± {sure:.0f})")
+    return lines
 
 
 def _early(sensor: tuple[SensorEstimate, ...]) -> list[str]:

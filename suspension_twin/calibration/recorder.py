@@ -57,7 +57,8 @@ def fingerprint(request: CalibrationRequest, setup: Setup) -> str:
     twin, data = setup.twin.model_copy(update={"road": None}), setup.problem.data
     excitations = [part.excitation for part in data.parts]
     code = code_digest(Path(__file__).with_name("run.py"))
-    return content_digest(code, asked, twin, data.measured.values, excitations)
+    spread = setup.problem.nuisances.spread
+    return content_digest(code, asked, twin, data.measured.values, excitations, spread)
 
 
 class Recorder:

@@ -238,7 +238,7 @@ class CurveEstimate:
 class DriveSignals:
     """Every channel (m,) of one drive at stamps ``t`` (m,) s of an even ``rate`` Hz and at the ``position`` (m,) m
     along the road: measured, and of the twin ``before`` and ``after``; ``compared`` (m,) are the samples of the
-    objective."""
+    objective; ``received`` (m,) m, the position by the receiver where passes were placed on the road."""
 
     rate: float
     t: Floats
@@ -247,6 +247,7 @@ class DriveSignals:
     before: dict[str, Floats]
     after: dict[str, Floats]
     compared: NDArray[np.bool_]
+    received: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)

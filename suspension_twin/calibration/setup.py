@@ -34,7 +34,7 @@ from suspension_twin.inference.observation import (
     renamed,
     road_of,
 )
-from suspension_twin.inference.placement import Placement, is_open, on_one_clock, place
+from suspension_twin.inference.placement import Placement, in_reach, is_open, on_one_clock, place
 from suspension_twin.inference.priors import SINGLE
 from suspension_twin.inference.problem import Data, Interrupted, Likelihood, Problem, Simulation
 from suspension_twin.inference.runs import is_actuated, observe_runs
@@ -44,6 +44,7 @@ from suspension_twin.models.parameters import has_number, layout
 from suspension_twin.models.registry import model_of
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.road import Road
+from suspension_twin.road.recipe import taped_features
 from suspension_twin.signals.coarse_alignment import coarse_lag
 from suspension_twin.signals.common_rate import on_common_rate
 from suspension_twin.signals.filters import FilterSpec
@@ -154,7 +155,7 @@ def observe_checked(
     # a turn of the sensor that the twin has as an effect is calibrated; one that it has not bends everything else
     refused = ("facing",) if SensorCorrection.of_twin(twin).turn is None else ()
     observation = observe(drive, twin, road, settings, strict=True, refused=refused)
-    check_drive(observation)
+    check_drive(in_reach(observation))
     return observation
 
 
@@ -173,9 +174,11 @@ def problem_of(
     wander = [_wander(drives[d], priors) for d in sorted(drives)]
     if all(wander):  # clock and map are parts of the receiver's error then
         priors = replace(priors, clock=0.0, map_position=0.0)
-    likelihood = Likelihood(data, data.nuisances(priors, wander), objective)
+    taped = taped_features(twin.road.file) if priors.tape is None and twin.road is not None else None
+    likelihood = Likelihood(data, data.nuisances(priors, wander, taped), objective)
     simulation = Simulation() if stop is None else Simulation(stop=stop)
-    return Problem.of(twin, space, likelihood, simulation), objective
+    problem = Problem.of(twin, space, likelihood, simulation)
+    return problem.with_tape_response(problem.prior.centre), objective
 
 
 def _of_runs(

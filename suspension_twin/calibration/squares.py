@@ -20,6 +20,8 @@ from suspension_twin.calibration.searches import BATCH, costs_of
 from suspension_twin.calibration.setup import Setup
 from suspension_twin.inference.gauss_newton import GaussNewton, GaussNewtonSettings, Quadratic
 from suspension_twin.inference.noise import NEAR_FLOOR, Whitener
+from suspension_twin.inference.nuisance import Nuisances
+from suspension_twin.inference.observation import Observation
 from suspension_twin.inference.posterior import travel
 from suspension_twin.inference.problem import Interrupted, Problem
 from suspension_twin.inference.spring_position import FARTHEST, standing_at
@@ -81,10 +83,17 @@ def moved(problem: Problem, nuisance: Floats) -> Problem:
     found = dict(zip(problem.nuisances.names, nuisance, strict=True))
     metres, late = found.get("map_position", 0.0), found.get("clock_offset", 0.0)
     data = problem.data
-    parts = [p.moved(late + found.get(f"{p.name}.clock_offset", 0.0), metres) for p in data.parts]
+    parts = [on_taped_road(p, problem.nuisances, nuisance) for p in data.parts]
+    parts = [p.moved(late + found.get(f"{p.name}.clock_offset", 0.0), metres) for p in parts]
     wander = (problem.nuisances.wander_of(number, nuisance) for number in range(len(parts)))
     parts = [p.displaced(t, ahead) if t.size else p for p, (t, ahead) in zip(parts, wander, strict=True)]
     return replace(problem, likelihood=replace(problem.likelihood, data=replace(data, parts=tuple(parts))))
+
+
+def on_taped_road(part: Observation, nuisances: Nuisances, values: Floats) -> Observation:
+    """A drive on the road with the errors of the tape among ``values`` (q,) put right."""
+    errors = nuisances.tape_of(values)
+    return part.on(nuisances.taped.changed(part.road, errors)) if nuisances.taped and errors.any() else part
 
 
 def run_squares(recorder: Recorder) -> SearchOutcome:
@@ -278,14 +287,16 @@ class _Fit:
             return
         names = self.base.nuisances.names
         clock = np.array([n.endswith(".clock_offset") for n in names], dtype=bool)
-        offset = clock | np.array([n == "map_position" or ".wander." in n for n in names], dtype=bool)
-        small = np.where(clock, _PLACE_CLOCK, _PLACE_MAP)
+        tape = np.array([n.startswith("tape.") for n in names], dtype=bool)
+        offset = clock | tape | np.array([n == "map_position" or ".wander." in n for n in names], dtype=bool)
+        small = np.where(clock, _PLACE_CLOCK, np.where(tape, 0.0, _PLACE_MAP))
         found = np.where(offset, self.x[self.d :], 0.0)
         if np.any(np.abs(found) > small):
             self.placed = self.placed + found
             self.x = self.x.copy()
             self.x[self.d :][offset] = 0.0
             self.problem = moved(self.base, self.placed)
+        self.problem = self.problem.with_tape_response(self.x)
 
     # -- evaluation -------------------------------------------------------------------------------
 

@@ -44,7 +44,7 @@ Generations = Annotated[
     int,
     typer.Option(
         "--max-generations",
-        help="End the search after so many generations.  [default: as many as the preset says]",
+        help="End the search after so many iterations (generations of paper).  [default: as many as the preset says]",
         metavar="N",
         min=0,
         show_default=False,
@@ -160,9 +160,14 @@ def command(
     outputs = Outputs(out, details_path(out), *pages, force=force, resumed_from=folder)
     store = Checkpoint(folder, "")  # refuses a folder that holds no checkpoints
     load_twin(twin)
-    outputs.announce()
     with outputs, ProgressLine() as line:
-        result = calibrate(request, lambda step: show_progress(line, step))
+
+        def show(step: Progress) -> None:
+            if step.stage != "reading":
+                outputs.announce()
+            show_progress(line, step)
+
+        result = calibrate(request, show)
         with together():
             write_result(result, out)
             for path in pages:
@@ -213,7 +218,7 @@ def show_progress(line: ProgressLine, step: Progress) -> None:
     mean = f", mean {step.mean_cost:.4g}" if means else ""
     total = line.elapsed + step.seconds_left
     line.show(
-        f"{step.stage}: generation {step.generation}, cost {step.best_cost:.4g}{mean}",
+        f"{step.stage}: iteration {step.generation}, cost {step.best_cost:.4g}{mean}",
         line.elapsed / total if total < math.inf else None,
     )
 

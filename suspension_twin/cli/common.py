@@ -116,14 +116,16 @@ class Outputs:
 
     def __init__(self, *paths: Path, force: bool, resumed_from: Path | None = None) -> None:
         self._paths, self._force, self._resumed_from = paths, force, resumed_from
+        self._announced = False
         for path in paths:
             if path.exists() and not force:
                 raise InputError(path, "exists already: --force overwrites it")
             check_writable(path)
 
     def announce(self) -> None:
-        """The first line of a command's output, if it writes anything."""
-        if self._paths:
+        """The first line of a command's output, if it writes anything; once, when the input is known to be usable."""
+        if self._paths and not self._announced:
+            self._announced = True
             output().print(f"Writes {', '.join(map(str, self._paths))}")
 
     def __enter__(self) -> Outputs:

@@ -15,6 +15,7 @@ from suspension_twin.files import together
 
 if TYPE_CHECKING:
     from suspension_twin.diagnosis.decision import Costs
+    from suspension_twin.diagnosis.request import DiagnosisProgress
 
 __all__ = ["command"]
 
@@ -136,12 +137,14 @@ def command(
         )
     store = Checkpoint(folder, "", "a diagnosis")  # refuses a folder that holds no checkpoints
     load_twin(request.twin)
-    outputs.announce()
     with outputs, ProgressLine() as line:
-        result = diagnose(
-            request,
-            lambda step: line.show(": ".join(filter(None, (step.stage, step.note))), step.done),
-        )
+
+        def show(step: DiagnosisProgress) -> None:
+            if step.stage != "reading":
+                outputs.announce()
+            line.show(": ".join(filter(None, (step.stage, step.note))), step.done)
+
+        result = diagnose(request, show)
         if earlier is not None:
             result.document["earlier"] = earlier
         with together():

@@ -17,9 +17,11 @@ from suspension_twin.errors import InputError
 from suspension_twin.registry import Registry
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
+    from suspension_twin.inference.felt_passes import FeltRoad
     from suspension_twin.road.check import RoadCheck
+    from suspension_twin.road.recipe import Feature
     from suspension_twin.vehicle.twin import Datum
 
 __all__ = ["RoadOut", "app", "datum_line", "print_figures"]
@@ -97,7 +99,10 @@ def mesh(
     ] = 0.0,
     up: Annotated[
         Up,
-        typer.Option(help="z: x east, y north, z up. y: x west, y up, z north, which Unity reads as x east."),
+        typer.Option(
+            help="z: x east, y north, z up. y: x north, y up, z east; Unity mirrors x when it reads the file, "
+            "and the road lies where the twin's poses do."
+        ),
     ] = Up.z,
     origin: Annotated[
         Origin,
@@ -175,7 +180,7 @@ def make(
     bump: Annotated[
         list[str] | None,
         typer.Option(
-            help="A half sine: LENGTHxHEIGHT@U[:SIDE]. SIDE is left, right or LOW..HIGH (v, m).",
+            help="A half sine: LENGTHxHEIGHT[@U][:SIDE]. SIDE is left, right or LOW..HIGH (v, m).",
             metavar="SIZE@U",
             show_default=False,
         ),
@@ -187,6 +192,10 @@ def make(
             metavar="SIZE@U",
             show_default=False,
         ),
+    ] = None,
+    plank: Annotated[
+        list[str] | None,
+        typer.Option(help="A plank across the road: LENGTHxHEIGHT@U.", metavar="SIZE@U", show_default=False),
     ] = None,
     pothole: Annotated[
         list[str] | None,
@@ -216,10 +225,36 @@ def make(
             show_default=False,
         ),
     ] = None,
+    felt: Annotated[
+        Path | None,
+        typer.Option(
+            help="Lay the road where this recorded drive felt its bumps; they need no @U, and come in that order.",
+            metavar="BAG",
+            show_default=False,
+        ),
+    ] = None,
+    twin: Annotated[
+        Path | None,
+        typer.Option(
+            help="The vehicle of --felt: its wheelbase, how its sensor lies, its datum.",
+            metavar="TWIN.YAML",
+            show_default=False,
+        ),
+    ] = None,
+    tape: Annotated[
+        float | None,
+        typer.Option(
+            help="Accuracy of the sizes, m, the errors of which a calibration finds with the vehicle; 0: surveyed.  "
+            "[default: 0.005]",
+            metavar="M",
+            min=0.0,
+            show_default=False,
+        ),
+    ] = None,
     seed: Seed = 0,
     force: Force = False,
 ) -> None:
-    """Make a road from numbers: bumps, humps, potholes, ramps, an ISO 8608 class, and sums of them.
+    """Make a road from numbers: bumps, humps, planks, potholes, ramps, an ISO 8608 class, and sums of them.
 
     All dimensions in m, each option as often as needed: --bump 0.9x0.05@40 --pothole 0.6x0.07@80:left.
     """
@@ -228,20 +263,27 @@ def make(
     from suspension_twin.pose.local_map import LocalMap
     from suspension_twin.road.check import check_road
     from suspension_twin.road.crg import write_road
-    from suspension_twin.road.recipe import Kind, make_road, parse_feature
+    from suspension_twin.road.recipe import TAPE, TAPED_PLACE, Kind, Taped, make_road, parse_feature
     from suspension_twin.vehicle.twin import Datum
 
     outputs = Outputs(out, force=force)
     asked: tuple[tuple[Kind, list[str] | None], ...] = (
         ("bump", bump),
         ("hump", hump),
+        ("plank", plank),
         ("pothole", pothole),
         ("ramp", ramp),
     )
-    features = [parse_feature(kind, text) for kind, texts in asked for text in texts or []]
+    features = [
+        parse_feature(kind, text, placed=felt is None) for kind, texts in asked for text in texts or []
+    ]
     if not features and iso is None:
-        raise InputError("road make", "give --iso, or one of --bump, --hump, --pothole and --ramp")
-    datum = None
+        raise InputError("road make", "give --iso, or one of --bump, --hump, --plank, --pothole and --ramp")
+    datum, places, sizes = None, TAPED_PLACE, TAPE if tape is None else tape
+    if felt is not None:
+        found, datum = _felt(felt, twin, features)
+        at = found.x, found.y, math.degrees(found.heading)
+        features, places = list(found.features), max(found.places, places)
     if latlon is not None:
         latitude, longitude, heading = _latlon(latlon)
         at, datum = (0.0, 0.0, heading), Datum(latitude=latitude, longitude=longitude)
@@ -259,9 +301,12 @@ def make(
     )
     outputs.announce()
     with outputs:
-        write_road(made, out)
+        measured = features and iso is None and sizes
+        write_road(made, out, Taped(tuple(features), sizes, places).comment if measured else "")
     print_figures(check_road(made))
     if datum is not None:
+        if latlon is None:  # the receiver's metres are found with the vehicle
+            output().print("where the drive felt it, as accurate as its receiver:", markup=False)
         for name, u in [("start of the road", 0.0), *((f"{f.kind} at u {f.at:g} m", f.at) for f in features)]:
             x, y = made.uv_to_xy(u, 0.0)
             latitude, longitude, _ = LocalMap(datum).to_geodetic([float(x), float(y), 0.0])
@@ -270,6 +315,26 @@ def make(
             f"it runs at a bearing of {(90.0 - at[2]) % 360.0:.1f} deg (0 north, 90 east)", markup=False
         )
         output().print(f"The twin file of this road needs {datum_line(datum)}", markup=False)
+
+
+def _felt(bag: Path, given: Path | None, features: Sequence[Feature]) -> tuple[FeltRoad, Datum | None]:
+    """The road as a drive felt it, and the datum of its map; None without positions."""
+    from suspension_twin.drive.read import read_drive
+    from suspension_twin.inference.felt_passes import felt_road
+    from suspension_twin.inference.observation import origin_of
+    from suspension_twin.vehicle.twin import load_twin
+
+    if not features:
+        raise InputError("--felt", "needs the size of a bump: --bump, --hump, --plank or --pothole")
+    if given is None:
+        raise InputError("--felt", "needs --twin: the vehicle's wheelbase and how its sensor lies")
+    drive, twin = read_drive(bag), load_twin(given)
+    datum = origin_of(twin, drive) if len(drive.fix) else None
+    found = felt_road(drive, twin, features, datum)
+    for one in found.passes:
+        after = one.t - float(drive.imu.t[0])
+        output().print(f"felt {after:.1f} s after the start, at {3.6 * one.speed:.0f} km/h", markup=False)
+    return found, datum
 
 
 def _latlon(text: str) -> tuple[float, float, float]:

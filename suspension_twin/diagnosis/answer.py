@@ -16,6 +16,7 @@ from suspension_twin.diagnosis.decision import Costs, Decision, decide, single, 
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult
 from suspension_twin.errors import InputError
 from suspension_twin.files import Json, read_json, read_text, reader, reading, write_text
+from suspension_twin.inference.hypothesis import having_effects
 from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin, save_twin, twin_of_text
 
 __all__ = ["answer_of", "continued", "decided_anew", "leading_channel", "rounded", "write", "write_document"]
@@ -139,6 +140,7 @@ def _causes(rows: list[Json], decision: Decision) -> list[Json]:
             "probability": round(decision.effects[effect], 6),
             "presence": round(presence[effect], 6),
             "parameters": {name: p["value"] for name, p in parameters.items()},
+            **({"held": held} if (held := _held(parameters)) else {}),
             "channel": channel,
             **_shrink(beyond["written"]),
             "shrink_beyond_recalibration": beyond["shrink"],
@@ -152,6 +154,11 @@ def _causes(rows: list[Json], decision: Decision) -> list[Json]:
             cause["parameter_intervals"] = ends
         causes.append(cause)
     return causes
+
+
+def _held(parameters: Json) -> dict[str, float]:
+    """Parameters of an effect as the twin file that was diagnosed has them."""
+    return {name: p["held"] for name, p in parameters.items() if "held" in p}
 
 
 def _judged(row: Json) -> bool:
@@ -260,7 +267,7 @@ def _twin_with(given: Twin, row: Json) -> Twin:
         EffectSpec(id=e, parameters={name: p["value"] for name, p in shown["parameters"][e].items()})
         for e in shown.get("effects", ())
     )
-    return twin.model_copy(update={"effects": (*given.effects, *specs), "road": given.road})
+    return having_effects(twin.model_copy(update={"effects": given.effects, "road": given.road}), specs)
 
 
 def _read(path: Path) -> Json:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.checks import LEAST_EXCITED, check_drive, check_on_road, check_recording
 from suspension_twin.calibration.presets import PART_KEYS, build_space, preset_named
+from suspension_twin.diagnosis.library import DECOYS, OF_PLACE
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive
@@ -32,6 +33,7 @@ from suspension_twin.inference.observation import (
     with_shown_errors,
 )
 from suspension_twin.inference.parallel import side_by_side
+from suspension_twin.inference.placement import in_reach, on_one_clock, place
 from suspension_twin.inference.problem import (
     Data,
     Interrupted,
@@ -46,9 +48,11 @@ from suspension_twin.inference.runs import observe_runs, repeats
 from suspension_twin.inference.sensor_correction import Turn
 from suspension_twin.inference.smooth_space import smooth_space
 from suspension_twin.inference.space import Space
+from suspension_twin.models.constants import Conditions, outside
 from suspension_twin.models.excitation import coarser
-from suspension_twin.models.parameters import has_number, twin_value
+from suspension_twin.models.parameters import has_number, layout, pack, twin_value
 from suspension_twin.models.registry import model_of
+from suspension_twin.models.types import Excitation, RepeatedRun
 from suspension_twin.road import flat_road
 from suspension_twin.signals.common_rate import on_common_rate
 from suspension_twin.signals.filters import FilterSpec
@@ -61,7 +65,7 @@ _PLANAR_ONLY = ObserveSettings(filter=FilterSpec(2, 1.6), satellites=True, satur
 _ON_ROAD = ObserveSettings(saturated=True)
 #: Error of a change that a model predicts, over its error about the sound vehicle at the same sample: a prior.
 _DOUBT = 0.5
-#: Seconds of compared driving below which nothing can be held out from the fit.
+#: Seconds of compared driving below which nothing can be held out from the fit: two blocks of time.
 SHORTEST = 8.0
 #: Receiver's standard deviation in m from which on a drive has its own slow position error.
 _INACCURATE = 0.1
@@ -69,6 +73,8 @@ _INACCURATE = 0.1
 _STEP = 2.5e-3
 #: Time step as a share of the period of a wheel on its tyre: 2.5 ms of 12 Hz.
 _OF_A_PERIOD = 0.03
+#: Corrections of a low-pass (numerics): at its cut-off, where half is passed, a sixteenth is left.
+_CORRECTIONS = 4
 #: Free beside the characteristics: parameters that no weighbridge measures.
 ALSO = (
     "vehicle.sprung_inertia.roll",
@@ -119,6 +125,17 @@ class Case:
         return tuple(c for c in self.drives[0].usage.driven if c in self.channels)
 
     @property
+    def placed(self) -> bool:
+        """Whether a drive was placed on its road by what was felt: its place and its receiver's clock are nuisances."""
+        return any(d.reading is not None and d.settings.placed is not None for d in self.drives)
+
+    def named(self, effects: Sequence[str]) -> Sequence[str]:
+        """The effects that may be named: those that are asked for, else all that place and clock do not hide."""
+        if effects or not self.placed:
+            return effects
+        return [name for name in EFFECTS if name not in (*DECOYS, *OF_PLACE)]
+
+    @property
     def turn(self) -> Turn:
         """Mounting error of the sensor (roll, pitch, yaw; rad) that the drives with the gap show."""
         shown = [d.reading.shown for d, a in zip(self.drives, self.active, strict=True) if a and d.reading]
@@ -152,7 +169,10 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
             raise Interrupted
         observation = observe(recorded, twin, road, settings, strict=True)
         if twin.road is not None:
-            check_drive(observation)
+            check_drive(in_reach(observation))
+            observation = on_one_clock(observation)
+            where = place(observation, twin)
+            observation = observation if where is None else where.kept(observation)
         return with_shown_errors(observation)
 
     recordings = side_by_side(recording, bags, lambda _, bag: note(f"reading {Path(bag).name}"))
@@ -163,7 +183,11 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
             "the twin file names no road: only the planar channels are compared, and only effects of clock, sensor "
             "and mount can be judged"
         )
-    return Case(twin, tuple(drives), active, tuple(warnings))
+    case = Case(twin, tuple(drives), active, tuple(warnings))
+    if case.placed:
+        text = f"the receiver leaves place and time open: {', '.join(OF_PLACE)} are nuisances and cannot be named"
+        case = replace(case, warnings=(*case.warnings, text))
+    return case
 
 
 def _check(request: DiagnosisRequest, twin: Twin) -> None:
@@ -241,7 +265,7 @@ def drive_problem(
     floors = [dict(d.noise_rms) for d in data.parts]
     noise = Whitener.designed(data.measured, np.full(len(data.channels), USUAL_SHARE), floors)
     likelihood = Likelihood(data, nuisances, noise, weight=effective_weight(noise), affine=True)
-    return Problem.of(twin, space or _space(twin), likelihood, simulation)
+    return Problem.of(twin, _space(twin) if space is None else space, likelihood, simulation)
 
 
 def _compared(case: Case) -> list[NDArray[np.intp]]:
@@ -334,30 +358,62 @@ def _floors(problem: Problem) -> list[dict[str, float]]:
 def _repeated(case: Case, problem: Problem, x: Floats) -> Problem:
     """The problem of controlled runs whose expected discrepancy is the residual of their references.
 
-    A reference is no witness of itself: what is expected of it is what others of its program leave, or nothing. The
+    A reference is no witness of itself: what is expected of it is what others of its program leave, or nothing. It is
+    what the sensors of a rig saw (``RepeatedRun``), for an effect of a sensor acts on it as on the motion. The
     discrepancy of a sound vehicle is known, so the vehicle is held as the references show it. The model reproduces
-    a change no better than the sound vehicle: half of its residual there is noise of the change, beside the scatter of
-    repeats.
+    a change no better than the sound vehicle: half of its residual there is noise of the change. Beside it stands the
+    scatter of repeats, which the references of one program show: one of n misses the mean of the others by
+    1 + 1 / (n - 1) times the variance of a run, a run after them misses their mean by 1 + 1 / n times that.
     """
     data, measured = problem.data, problem.measured
     missed = measured.values - problem.compared(x[:, None])[:, :, 0]
     ends = np.cumsum([0, *(r.size for r in data.rows)])
     quiet = [j for j, active in enumerate(data.active) if not active]
     expected: list[Floats | None] = []
+    scatter, again = np.zeros_like(missed), list[int]()
     for number, part in enumerate(data.parts):
         same = [j for j in quiet if j != number and repeats(part, data.parts[j])]
         off = [
             np.stack([np.interp(part.t, data.parts[j].t, c) for c in missed[ends[j] : ends[j + 1]].T], axis=1)
             for j in same
         ]
-        expected.append(np.mean(off, axis=0) if off else None)
-    noise = Whitener.designed(measured, _DOUBT * shares(measured, missed, quiet), _floors(problem))
-    held = replace(case, twin=twin_of(problem, Fit(problem.hypothesis, x, 0.0)))
-    fresh = build(held, problem.simulation.stop, problem.space.keys[:1])
-    likelihood = replace(
-        fresh.likelihood, noise=noise, weight=effective_weight(noise), expected=tuple(expected)
-    )
-    return replace(fresh, likelihood=likelihood)
+        others = np.mean(off, axis=0) if off else None
+        expected.append(others)
+        if others is not None and number in quiet:
+            own = slice(ends[number], ends[number + 1])
+            scale = np.sqrt(1.0 - (len(off) + 1) ** -2.0)
+            scatter[own] = scale * (missed[own] - others[data.rows[number]])
+            again.append(number)
+    share = _DOUBT * shares(measured, missed, quiet)
+    if again:
+        share = np.hypot(share, shares(measured, scatter, again))
+    noise = Whitener.designed(measured, share, _floors(problem))
+    twin = twin_of(problem, Fit(problem.hypothesis, x, 0.0))
+    wander = [0.0] * len(case.drives)
+    before = [_run_before(twin, p, e, data.channels) for p, e in zip(data.parts, expected, strict=True)]
+    expected = [e if p is b else None for p, b, e in zip(data.parts, before, expected, strict=True)]
+    data = replace(data, parts=tuple(before))
+    fresh = drive_problem(twin, Space(twin, ()), data, problem.nuisances.priors, wander, problem.simulation)
+    still = replace(fresh.likelihood, noise=noise, weight=effective_weight(noise), expected=tuple(expected))
+    return replace(fresh, likelihood=still).with_still_references()
+
+
+def _run_before(
+    twin: Twin, part: Observation, expected: Floats | None, channels: Sequence[str]
+) -> Observation:
+    """A run on a rig with the discrepancy ``expected`` (m, C) in its excitation, as it was before the clock of the twin
+    and the low-pass of the comparison: found by repeated correction (van Cittert 1931). Other runs as they are."""
+    driven = part.excitation
+    if expected is None or not isinstance(driven, Excitation):
+        return part
+    clock = outside(pack(twin)[:, None], layout(twin), Conditions.of(driven)).clock
+    stamps, late = driven.t - driven.t[0], 0.0 if clock is None else float(clock.delay[0])
+    raw = np.zeros((stamps.size, len(channels)))
+    for _ in range(_CORRECTIONS):
+        read = np.stack([np.interp(stamps - late, stamps, column) for column in raw.T], axis=1)
+        left = expected - part.grid.apply(read)
+        raw += np.stack([np.interp(stamps + late, part.t, column) for column in left.T], axis=1)
+    return replace(part, excitation=RepeatedRun(**vars(driven), channels=tuple(channels), missed=raw))
 
 
 def _many(problem: Problem, x: Floats) -> Sequence[Floats]:

@@ -206,6 +206,7 @@ class _Rows:
         error of a twin file, of the smallest effect."""
         problem, hypothesis = self.judged.problem, one.hypothesis
         u, (low, high) = one.found.fit.x[problem.shared :], hypothesis.bounds()
+        typical, held = hypothesis.typical(), dict(hypothesis.held)
         values = one.found.fit.effect_values
         parameters: dict[str, Json] = {e: {} for e in hypothesis.effects}
         for key, value in hypothesis.fixed:
@@ -218,8 +219,9 @@ class _Rows:
             setup = hypothesis.effect(effect).where in SETUP_CATEGORIES
             parameters[effect][name] = {
                 "value": float(values[i]),
-                "far": 0.0 if setup else abs(float(u[i])),
+                "far": 0.0 if setup else abs(float(u[i] - typical[i])),
                 "bound": bool(two_sided and not low[i] + 1e-9 < u[i] < high[i] - 1e-9),
+                **({"held": held[key]} if key in held else {}),
             }
         usual = usual_ratio(problem, hypothesis, parameters, self.judged.reference is not None)
         return {"parameters": parameters, "usual": usual}
@@ -268,7 +270,8 @@ def usual_ratio(
             usual = {name: max(least, _apparent_drift(problem)) for name, least in usual.items()}
         if (referenced and effect.where != "time") or not all(usual.values()):
             continue
-        ratios.append(max(abs(parameters[effect.id][n]["value"]) / usual[n] for n in effect.severity))
+        sizes = {n: parameters[effect.id][n] for n in effect.severity}
+        ratios.append(max(abs(p["value"] - p.get("held", 0.0)) / usual[n] for n, p in sizes.items()))
     return float(min(ratios)) if ratios else None
 
 

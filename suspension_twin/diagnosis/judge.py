@@ -53,7 +53,7 @@ __all__ = [
 
 #: Share of the gain of the first lead that the second needs, and number of leads.
 _LEAD_SHARE, _LEADS = 0.25, 2
-_MOST_EFFECTS = 3
+_MOST_EFFECTS = 3  # of a set
 #: Nats that decide between two hypotheses, odds of 20 to 1: that one more effect has to add for the search to go on.
 ADDED = 3.0
 #: Lower limit of the share of the remaining residual that is noise.
@@ -148,7 +148,7 @@ def judge(
     ``fits`` are the baseline on all drives and the vehicle fitted to the reference drives, from which searches start.
     """
     base, anchor = fits
-    effects = library(case.twin, case.excited, request.effects, len(case.drives))
+    effects = library(case.twin, case.excited, case.named(request.effects), len(case.drives))
     if not effects:
         raise InputError("effects", "none of the library is left to try on this twin")
     blocks = blocks_of(problem)
@@ -242,7 +242,7 @@ def _grown(
     With two causes, the effect of highest evidence may be neither of them. A set is not grown where its first effect
     leaves no more than a complete model does.
     """
-    effects = library(case.twin, case.excited, request.effects, len(case.drives))
+    effects = library(case.twin, case.excited, case.named(request.effects), len(case.drives))
     known = [c for c in judged.singles if not c.decoy]
     gains = np.array([tempered_gain(judged, c.found) for c in known])
     weak = [c.effects[0] for c in known if c.powers is not None and not detectable(c.powers)]
@@ -359,7 +359,9 @@ def with_joint_noise(
 
     The residual of the baseline contains the effects, for example a clock offset, and would overestimate the noise.
     """
-    effects = [v[0] for v in library(case.twin, case.excited, request.effects, len(case.drives)).values()]
+    effects = [
+        v[0] for v in library(case.twin, case.excited, case.named(request.effects), len(case.drives)).values()
+    ]
     every, fit = range(len(problem.data.active)), base
     for number in range(_NOISE_ROUNDS if effects else 0):
         if number:

@@ -10,7 +10,6 @@ effect is its gain beyond these.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +17,7 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.inference.cross_validation import Blocks, Evidence, evidence
 from suspension_twin.inference.fit import DEEP, LONG, ROUGH, Fit, approximated, fitted, linearised_fit, refit
-from suspension_twin.inference.hypothesis import Hypothesis, combined
+from suspension_twin.inference.hypothesis import Hypothesis, combined, having_effects
 from suspension_twin.inference.problem import Problem, whitener_of
 
 if TYPE_CHECKING:
@@ -129,6 +128,5 @@ def _with_preexisting(
         starts.append(np.concatenate([one.fit.x[:p], *others]))
     x, _ = refit(problem.having(whole), starts, None, LONG)
     specs = whole.spec(whole.values(x[p:, None])[:, 0])
-    twin = problem.twin.model_copy(update={"effects": (*problem.twin.effects, *specs)})
-    extended = replace(problem, twin=twin)
+    extended = problem.with_twin(having_effects(problem.twin, specs))
     return extended, *refit(extended, [x[:p]], None, LONG)

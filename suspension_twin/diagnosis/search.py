@@ -322,10 +322,10 @@ def _typical_start(problem: Problem, base: Fit, hypothesis: Hypothesis) -> list[
     worse than nothing until they have moved: the lowest cost is no guide among starts.
     """
     effect, neutral = hypothesis.effect(hypothesis.effects[-1]), hypothesis.neutral()
-    names = [key.split(".")[2] for key in hypothesis.keys]
-    if all(neutral[i] == 0.0 for i, name in enumerate(names) if name in effect.severity):
+    names, typical = [key.split(".")[2] for key in hypothesis.keys], hypothesis.typical()
+    if all(neutral[i] == typical[i] for i, name in enumerate(names) if name in effect.severity):
         return []
-    start = np.concatenate([base.x[: problem.shared], np.zeros(len(hypothesis))])
+    start = np.concatenate([base.x[: problem.shared], typical])
     return [np.asarray(problem.having(hypothesis).clipped(start[:, None])[:, 0])]
 
 
@@ -342,10 +342,8 @@ def _softened_starts(
     if effect.where not in ("strut", "tyre", "body") or effect.tone is not None:
         return []
     p, whole = problem.shared, problem.having(hypothesis)
-    vehicles = [
-        problem.space.shifted(base.x[:p], springs, 2.0 * dampers)
-        for springs, dampers in product(_SOFTER, repeat=2)
-    ]
+    softer = product(_SOFTER, repeat=2) if problem.space.curves else [(0.0, 0.0)]
+    vehicles = [problem.space.shifted(base.x[:p], springs, 2.0 * dampers) for springs, dampers in softer]
     starts = [hypothesis.starts(_STARTS // 2, seed + 1)]
     # a stop that hardly touches has the lowest cost but no gradient: starts that touch are added
     if hypothesis.has_clearance:
@@ -458,7 +456,7 @@ def joint_fit(
     # with a large set-up error the baseline vehicle is wrong: start from the twin file
     starts[:p, many.shape[1] - far.shape[1] :] = problem.prior.centre[:, None]
     order = np.argsort(
-        problem.having(together).costs(starts) - coarse_search.waived_penalty(many), kind="stable"
+        problem.having(together).costs(starts) - coarse_search.waived_penalty(together, many), kind="stable"
     )
     tried = [
         (coarse_search.recentred(together, many[:, i]), starts[:, i])

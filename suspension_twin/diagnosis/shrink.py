@@ -29,11 +29,11 @@ __all__ = [
     "uncalibrated_residual",
 ]
 
-DRAWS = 2000  # of a bootstrap
+DRAWS = 2000  # of a bootstrap: the ends of a 90 % interval to half a per cent
 #: Prior of the standard deviation of log(after / before) from drive to drive of one car on one road, and its degrees of
-#: freedom; lower limit of after / before, below which the residual is noise.
+#: freedom.
 _FROM_DRIVE_TO_DRIVE, _COUNTS_AS = 0.15, 4
-_LEAST_SHARE_LEFT = 0.02
+_LEAST_SHARE_LEFT = 0.02  # of after / before, below which the residual is noise
 
 
 @dataclass(frozen=True, eq=False)

@@ -38,13 +38,13 @@ __all__ = ["tone_peaks", "tone_starts"]
 _SECTION, _LONGER = 12.0, 3.0
 #: Grid points for each resolution, 1 / duration or 1 / distance: half a bin off loses a tenth of the power.
 _FINE = 2.5
-_PEAKS = 3
+_PEAKS = 3  # that are followed
 _AROUND = 4  # grid points on either side of a peak that belong to it, and in a later stage
 _LEAST = 32  # samples of a section
 _FLOORED = 4.0  # s of a section that has one side of a tone with a floor
 _BLOCK = 0.5  # s of a sum: a tone that is a grid point off turns by less than a tenth meanwhile
 _MOST = 48  # sections of all channels and drives together in the first stage
-_SAMPLES = 2.3  # for each period of the highest frequency
+_SAMPLES = 2.3  # for each period of the highest frequency: above two (Nyquist)
 
 
 @dataclass(frozen=True, eq=False)

@@ -197,9 +197,15 @@ def _certain(cause: Document) -> dict[str, float]:
 
 
 def said(cause: Document) -> str:
-    """A cause with its parameters in words, of those that are certain."""
-    known = cause["effect"] in EFFECTS
-    return finding(cause["effect"], _certain(cause) if known else cause["parameters"])
+    """A cause with its parameters in words, of those that are certain; of an effect that the twin file has, both
+    sizes."""
+    effect, held = cause["effect"], cause.get("held", {})
+    words = finding(effect, _certain(cause) if effect in EFFECTS and not held else cause["parameters"])
+    if not held:
+        return words
+    size = EFFECTS[effect].severity if effect in EFFECTS else held
+    before = listed([f"{parameter_name(effect, n)} {parameter_value(effect, n, held[n])}" for n in size])
+    return f"{words} (in the twin file: {before})"
 
 
 def _otherwise(document: Document, named: Sequence[Document]) -> list[tuple[float, str]]:
@@ -322,7 +328,9 @@ def _recalibration(document: Document) -> list[str]:
 def _remaining(document: Document) -> str:
     """An unexplained gap in words: its size, and the shapes and errors that it resembles."""
     unit, signature = channel_unit(document["gap"]["channel"]), document.get("signature", {})
-    words = [f"{document['gap_after']:.2g} {unit} of the gap remain"]
+    gap = float(document["gap_after"])
+    beyond = f"{gap:.2g} {unit} of the gap remain"
+    words = [beyond if gap > 0.0 else "no more of the gap remains than the noise of the sensor"]
     for like in signature.get("resembles", [])[:1]:
         words.append(f"they resemble {effect_name(like['effect'])}")
     there = signature.get("stretch")

@@ -31,6 +31,7 @@ from suspension_twin.drive.clocks import (
 )
 from suspension_twin.drive.foreign_files import DataTable, RecordedFiles, read_table
 from suspension_twin.drive.importers import IMPORTERS, read_source
+from suspension_twin.drive.mat import MAT_MAGIC, mat_table
 from suspension_twin.drive.mdf import MDF_MAGIC, MeasuredTable, open_mdf
 from suspension_twin.drive.rig import QUANTITIES, RigRecord, checked_rig, rig_unit
 from suspension_twin.drive.stamps import began_again, unwrapped
@@ -435,6 +436,9 @@ class _Files:
             if data.startswith(MDF_MAGIC):
                 self.measured[section] = MeasuredTable(label, [], measurement=open_mdf(data, label))
                 return self.measured[section]
+            if data.startswith(MAT_MAGIC):
+                self.tables[chosen] = mat_table(data, label)
+                return self.tables[chosen]
             table = read_table(data, label, **chosen.model_dump(exclude={"file"}))
             self.streams.warnings += table.warnings
             self.tables[chosen] = table

@@ -11,12 +11,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 from scipy.interpolate import CubicSpline, make_interp_spline
+from scipy.signal import butter, sosfiltfilt
 
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.contents import Contents, decode_topic
@@ -27,7 +28,7 @@ from suspension_twin.errors import InputError
 from suspension_twin.files import comment_lines, read_bytes, reader, replacing
 from suspension_twin.units import STANDARD_GRAVITY
 
-__all__ = ["QUANTITIES", "RigRecord", "checked_rig", "read_rig", "rig_unit", "write_rig"]
+__all__ = ["QUANTITIES", "RigRecord", "checked_rig", "driven_by_wheel", "read_rig", "rig_unit", "write_rig"]
 
 _LENGTH: Final = {"m": 1.0, "mm": 1e-3}
 _SPEED: Final = {"m_s": 1.0, "mm_s": 1e-3}
@@ -48,6 +49,9 @@ QUANTITIES: Final[Mapping[str, tuple[Mapping[str, float], float]]] = {
 }
 _LARGEST: Final = 1 << 30  # bytes of a table
 _ROAD: Final = ("road_displacement", "road_velocity")
+_WHEEL: Final = ("wheel_displacement", "wheel_acceleration")
+#: Hz above which the motion of a wheel is taken from its accelerometer: well below any bounce of a body.
+_LOWEST: Final = 0.2
 _BODY: Final = ("body_acceleration", "body_displacement")
 _ACCELEROMETERS: Final = {"/imu/data_raw": "body_acceleration", "/wheel/imu/data_raw": "wheel_acceleration"}
 _JOINTS: Final = "/joint_states"
@@ -87,6 +91,24 @@ class RigRecord:
         return np.asarray(make_interp_spline(t, moved, 5).derivative(2)(t))
 
 
+def driven_by_wheel(record: RigRecord) -> RigRecord:
+    """The run with the wheel's measured motion in the place of the road: its displacement, or the velocity that its
+    accelerometer gives above 0.2 Hz. InputError where neither was measured."""
+    kept = {name: values for name, values in record.columns.items() if name not in (*_ROAD, *_WHEEL)}
+    deflection = record.channel("suspension_deflection")
+    if deflection is not None:
+        kept["suspension_deflection"] = deflection
+    height, pull = (record.columns.get(name) for name in _WHEEL)
+    if height is not None:
+        return replace(record, columns={"road_displacement": height, **kept})
+    if pull is None:
+        raise InputError(record.name, "wheel_displacement", "is missing, and so is wheel_acceleration")
+    rate = (record.t.size - 1) / float(record.t[-1] - record.t[0])
+    sos = butter(2, _LOWEST, "highpass", fs=rate, output="sos")
+    speed = CubicSpline(record.t, pull - np.mean(pull)).antiderivative()(record.t)
+    return replace(record, columns={"road_velocity": sosfiltfilt(sos, speed), **kept})
+
+
 @reader("a run of a rig")
 def read_rig(path: str | Path) -> RigRecord:
     """A run from a CSV or a recording; InputError names the file and the quantity that is wrong or missing."""
@@ -113,9 +135,11 @@ def checked_rig(
         raise InputError(
             path, "body_acceleration", f"is missing, there are {there}; body_displacement would do"
         )
-    if not set(_ROAD) & set(columns):
+    if not {*_ROAD, *_WHEEL} & set(columns):
         raise InputError(
-            path, "road_displacement", "is missing, and so is road_velocity: one of them is needed"
+            path,
+            "road_displacement",
+            "is missing, and so is road_velocity: one of them is needed, or the motion of the wheel",
         )
     for quantity, values in columns.items():
         bad = np.flatnonzero(~np.isfinite(values))

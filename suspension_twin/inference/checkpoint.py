@@ -36,7 +36,7 @@ __all__ = ["STATE", "Checkpoint", "Rounds", "State", "code_digest", "decoded", "
 
 #: Name of the file in the folder.
 STATE = "state.npz"
-_FORMAT = 3
+_FORMAT = 3  # version of that file
 _INDEX = "index"
 #: The files of a state, whole or in the making: what else is in the folder is not touched.
 _OWN = re.compile(r"state(-[0-9a-f]+)?\.npz|\..*\.part(\.\w+)?")

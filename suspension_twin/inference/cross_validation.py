@@ -37,6 +37,7 @@ __all__ = [
     "penalty_of",
 ]
 
+#: Five-fold cross-validation (Hastie, Tibshirani and Friedman 2009, section 7.10).
 FOLDS = 5
 #: Factors on the prior precision of characteristics and nuisance parameters while a fold is held out; the one that fits
 #: the other folds best is used. A parameter that only one fold excites (the end of a spring curve) is otherwise free in

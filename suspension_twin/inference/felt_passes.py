@@ -10,7 +10,9 @@ tridiagonal matrix of a random walk.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import solveh_banded
@@ -21,19 +23,24 @@ from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
 from suspension_twin.inference.nuisance import OF_A_CALIBRATION
 from suspension_twin.inference.priors import SINGLE
+from suspension_twin.inference.sensor_correction import SensorCorrection
 from suspension_twin.inference.synthetic import path_along
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.pose.planar_denoising import felt_acceleration
+from suspension_twin.pose.smoothed import locked_trajectory
 from suspension_twin.pose.types import VELOCITY_SHARE, PoseSettings, Trajectory
+from suspension_twin.road.recipe import FIRST_AT, Feature, make_road
 from suspension_twin.road.road import Road
 from suspension_twin.road.roughness import profile_events
 from suspension_twin.signals.conditioner import Conditioner
 from suspension_twin.signals.filters import FilterSpec, zero_phase
+from suspension_twin.signals.ingest import ImuSettings
 from suspension_twin.signals.offline import ImuSignals
-from suspension_twin.vehicle.twin import Twin
+from suspension_twin.vehicle.twin import Datum, Twin
 
-__all__ = ["FeltPass", "felt_passes", "felt_trajectory"]
+__all__ = ["FeltPass", "FeltRoad", "felt_passes", "felt_road", "felt_trajectory"]
+
 
 #: m/s between which passes are looked for (tolerance, by hand: walking pace to 60 km/h), and the ratio of two speeds
 #: next to each other (numerics): the axles' delay at 4 m/s differs by a sample of 50 Hz.
@@ -126,6 +133,95 @@ def _doppler() -> float:
     return VELOCITY_SHARE * PoseSettings().fix_sigma
 
 
+def _known_speeds(drive: Drive) -> tuple[Floats, Floats]:
+    """Stamps (k,) s and speeds (k,) m/s of a drive's receiver or wheels."""
+    velocity = drive.velocity
+    good = np.isfinite(velocity.t) & np.isfinite(velocity.enu[:, :2]).all(axis=1)
+    return velocity.t[good], np.hypot(*velocity.enu[good, :2].T)
+
+
+@dataclass(frozen=True)
+class FeltRoad:
+    """A straight road with its ``features`` where a drive felt them: its start ``x``, ``y`` m in map and ``heading``
+    rad; ``places`` m, the standard deviation of each against the first; the ``passes`` over the first."""
+
+    features: tuple[Feature, ...]
+    x: float
+    y: float
+    heading: float
+    places: float
+    passes: tuple[FeltPass, ...]
+
+
+def felt_road(drive: Drive, twin: Twin, features: Sequence[Feature], datum: Datum | None) -> FeltRoad:
+    """Lay a straight road where a drive felt its bumps.
+
+    Each pass over all features is one of them after another, forward along the vehicle's course; a pass back along the
+    road is turned. The road runs along the mean course, through the mean place of the first feature; of a drive without
+    positions it begins at the origin of the map.
+
+    Parameters
+    ----------
+    drive : Drive
+        A recording of passes.
+    twin : Twin
+        A vehicle of that wheelbase.
+    features : sequence of Feature
+        In the order in which they are passed first; the first lies on the road where it says, ``FIRST_AT`` m from the
+        start where it does not, and others at NaN m where they were felt.
+    datum : Datum, optional
+        Of the map; None of a drive without positions.
+
+    Returns
+    -------
+    FeltRoad
+        The features with their places, and the start of the road.
+
+    Raises
+    ------
+    InputError
+        Nothing was felt, or not as often as there are features.
+    """
+    correction = SensorCorrection.of_twin(twin)
+    timed = correction.timed(drive)
+    signals = correction.signals(timed, twin.imu, ImuSettings())
+    known, first = _known_speeds(timed), features[0]
+    at = FIRST_AT if math.isnan(first.at) else first.at
+    alone = make_road(at + FIRST_AT, features=[replace(first, at=at)])
+    felt = felt_passes(signals, twin, alone, known)
+    count = len(features)
+    if not felt or len(felt) % count:
+        raise InputError(
+            drive.name,
+            f"{first} was felt {len(felt)} times: as often as there are bumps, or twice as often, is expected",
+        )
+    speed = _speed(signals, known, felt)
+    way = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(signals.t) * (speed[1:] + speed[:-1]))])
+    gone = np.interp([p.t for p in felt], signals.t, way).reshape(-1, count)
+    apart = np.diff(gone, axis=1)
+    spacing, runs_ = np.concatenate([[0.0], np.cumsum(apart.mean(axis=0))]), apart.shape[0]
+    doubt = (_RATIO - 1.0) * float(spacing[-1]) / math.sqrt(runs_)
+    placed = [
+        replace(f, at=at + float(d)) if math.isnan(f.at) else f
+        for f, d in zip(features, spacing, strict=True)
+    ]
+    firsts = tuple(felt[::count])
+    if datum is None:
+        return FeltRoad(tuple(placed), 0.0, 0.0, 0.0, doubt, firsts)
+    path = locked_trajectory(timed, signals, twin.gps, datum, signals.t, upright=correction.upright)
+    x, y, yaw = (np.interp([p.t for p in felt], path.t, c) for c in (path.x, path.y, path.yaw))
+    half = 0.5 * first.size[0]
+    middle = np.stack([x + half * np.cos(yaw), y + half * np.sin(yaw)], axis=1).reshape(-1, count, 2)
+    back = np.cos(yaw[::count] - yaw[0]) < 0.0
+    # a pass back along the road meets the first feature last
+    course = yaw[::count] + np.where(back, math.pi, 0.0)
+    heading = math.atan2(float(np.sin(course).mean()), float(np.cos(course).mean()))
+    there = np.where(back[:, None], middle[:, -1], middle[:, 0]).mean(axis=0) - (at + half) * np.array(
+        [math.cos(heading), math.sin(heading)]
+    )
+    return FeltRoad(tuple(placed), float(there[0]), float(there[1]), heading, doubt, firsts)
+
+
 def felt_trajectory(drive: Drive, twin: Twin, signals: ImuSignals, road: Road) -> Trajectory:
     """The motion of a drive without positions, along the middle of its road.
 
@@ -150,9 +246,7 @@ def felt_trajectory(drive: Drive, twin: Twin, signals: ImuSignals, road: Road) -
     InputError
         The road has no events, or none was felt.
     """
-    velocity = drive.velocity
-    good = np.isfinite(velocity.t) & np.isfinite(velocity.enu[:, :2]).all(axis=1)
-    known = velocity.t[good], np.hypot(*velocity.enu[good, :2].T)
+    known = _known_speeds(drive)
     passes = felt_passes(signals, twin, road, known)
     if not passes:
         raise InputError(

@@ -23,7 +23,7 @@ from suspension_twin.inference.gauss_newton import (
     Quadratic,
     bounded_step,
 )
-from suspension_twin.inference.hypothesis import Hypothesis
+from suspension_twin.inference.hypothesis import Hypothesis, having_effects
 from suspension_twin.inference.problem import Linearised, Problem
 from suspension_twin.vehicle.twin import Twin
 
@@ -48,7 +48,8 @@ __all__ = [
 FIT_SETTINGS = WHITENED
 #: Iterations at most of a first fit, of one from a start of its own, and of a joint one; a fit ends by itself before.
 ROUGH, DEEP, LONG = 4, 6, 15
-#: Scan of an effect coordinate: points, range in standard deviations of its prior, and points simulated after refit.
+#: Scan of an effect coordinate: points, range in standard deviations (99 % of a normal prior), and
+#: points simulated after refit.
 _SWEPT, _FAR, _TRIED = 9, 2.5, 4
 
 
@@ -117,7 +118,7 @@ def screen(problem: Problem, base: LinearisedFit, starts: Floats) -> Screening:
     costs = np.einsum("rl,rl->l", residual, residual, optimize=False) + penalty
     bent = gradient + 0.5 * np.einsum("ij,jl->il", hessian, step, optimize=False)
     costs = costs + 2.0 * np.einsum("il,il->l", bent, step, optimize=False)
-    costs = costs + np.sum(starts**2, axis=0)
+    costs = costs + np.sum((starts - problem.hypothesis.centre()[kept:, None]) ** 2, axis=0)
     costs = np.where(failed | ~np.isfinite(costs), np.inf, costs)
     change = residual - base.at.residual[:, None]
     seen = jacobian.T @ change
@@ -141,7 +142,7 @@ def resonance_scan(problem: Problem, base: LinearisedFit, scan: tuple[int, Float
     row, points = scan
     hypothesis, p = problem.hypothesis, problem.shared
     kept = base.x.size - p
-    nothing = hypothesis.neutral()[kept + row]
+    nothing, centre = hypothesis.neutral()[kept + row], hypothesis.centre()[kept:]
     x = np.concatenate([np.repeat(base.x[:, None], points.shape[1], axis=1), points])
     residual, failed = problem.residuals(x)
     jacobian, base_residual = base.at.jacobian, base.at.residual
@@ -155,13 +156,14 @@ def resonance_scan(problem: Problem, base: LinearisedFit, scan: tuple[int, Float
     far = points[row] - nothing
     curve = np.einsum("rl,rl->l", change, change, optimize=False) + far**2
     curve -= np.einsum("il,il->l", seen, taken[:, :-1], optimize=False)
-    slope = np.einsum("r,rl->l", base_residual, change, optimize=False) + nothing * far
+    slope = np.einsum("r,rl->l", base_residual, change, optimize=False) + (nothing - centre[row]) * far
     slope -= np.einsum("il,i->l", seen, taken[:, -1], optimize=False)
     low, high = (b[kept + row] for b in hypothesis.bounds())
     with np.errstate(divide="ignore", invalid="ignore"):
         strength = np.clip(nothing - far * slope / curve, low, high)
         share = (strength - nothing) / far
-        gain = -(2.0 * slope * share + curve * share**2) - np.sum(np.delete(points, row, axis=0) ** 2, axis=0)
+        gain = -(2.0 * slope * share + curve * share**2)
+        gain -= np.sum(np.delete(points - centre[:, None], row, axis=0) ** 2, axis=0)
     gain = np.where(failed | ~np.isfinite(gain), -np.inf, gain)
     best = int(np.argmax(gain))
     if not np.isfinite(gain[best]):
@@ -186,7 +188,8 @@ def coordinate_scan(problem: Problem, at: LinearisedFit) -> Floats | None:
     rows = np.repeat(np.arange(p, at.x.size), _SWEPT)
     points = np.repeat(at.x[:, None], rows.size, axis=1)
     for i in range(len(hypothesis)):
-        points[p + i, rows == p + i] = np.linspace(max(-_FAR, low[i]), min(_FAR, high[i]), _SWEPT)
+        ends = np.clip(centre[p + i] + np.array([-_FAR, _FAR]), low[i], high[i])
+        points[p + i, rows == p + i] = np.linspace(ends[0], ends[1], _SWEPT)
     residual, failed = problem.residuals(points)
     away = points - centre[:, None]
     slope = at.at.jacobian.T @ residual + precision @ away
@@ -301,4 +304,4 @@ def twin_of(problem: Problem, fit: Fit) -> Twin:
     values = space.from_slopes(fit.x[: problem.d])
     twin = given.with_changes({k: float(v) for k, v in zip(space.keys, values, strict=True)})
     specs = fit.hypothesis.spec(fit.effect_values) if fit.hypothesis.effects else ()
-    return twin.model_copy(update={"effects": (*given.effects, *specs), "road": given.road})
+    return having_effects(twin.model_copy(update={"effects": given.effects, "road": given.road}), specs)

@@ -8,7 +8,7 @@ each of its values is a hypothesis of its own, a variant, and the best variant r
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,10 +22,10 @@ from suspension_twin.inference.checkpoint import stored
 from suspension_twin.models.hooks import upright_with
 from suspension_twin.vehicle.twin import EffectSpec, Twin
 
-__all__ = ["BASELINE", "Hypothesis", "combined"]
+__all__ = ["BASELINE", "Hypothesis", "combined", "having_effects"]
 
 _DRIVE = "@"
-_WIDTH = 1.4  # standard deviation of the starting points, in that of the prior
+_WIDTH = 1.4  # standard deviation of the starting points, in that of the prior: they reach its tails
 
 
 @stored
@@ -36,7 +36,8 @@ class Hypothesis:
     ``fixed`` (key, value) holds choices; ``keys`` are the dotted keys of the searched parameters. ``around`` is the
     centre of the prior in search coordinates after a coarse search; empty for zero. ``preexisting`` names the effects
     that act on reference drives as well. A parameter that differs from drive to drive is searched for each of the
-    ``drives``: the first has the parameter's key, another one that with its number behind an ``@``.
+    ``drives``: the first has the parameter's key, another one that with its number behind an ``@``. ``held`` (key,
+    value) are parameters of effects that the twin has already: no change is that value, and the prior is about it.
     """
 
     effects: tuple[str, ...] = ()
@@ -45,6 +46,7 @@ class Hypothesis:
     preexisting: tuple[str, ...] = ()
     model: str = ""
     drives: int = 1
+    held: tuple[tuple[str, float], ...] = ()
 
     def effect(self, name: str) -> Effect:
         """One of its effects, as it is on the model."""
@@ -103,7 +105,19 @@ class Hypothesis:
 
     def centre(self) -> Floats:
         """(k,) centre of the prior."""
-        return np.array(self.around) if self.around else np.zeros(len(self))
+        return np.array(self.around) if self.around else self.typical()
+
+    def typical(self) -> Floats:
+        """(k,) centre of the prior before any coarse search: typical values, or those that the twin has."""
+        return self._as_held(np.zeros(len(self)))
+
+    def _as_held(self, u: Floats) -> Floats:
+        """Coordinates (k,) with those of effects that the twin has as they are there."""
+        known = dict(self.held)
+        for row, (key, _) in enumerate(self.searched):
+            if (plain := key.partition(_DRIVE)[0]) in known:
+                u[row] = self.coordinate(row, known[plain])
+        return u
 
     def without(self, effect: str) -> Hypothesis:
         """The hypothesis without one of its effects."""
@@ -125,6 +139,7 @@ class Hypothesis:
             tuple(e for e in self.preexisting if e in kept),
             self.model,
             self.drives,
+            tuple(pair for pair in self.held if pair[0].split(".")[1] in kept),
         )
 
     def rows(self, part: Hypothesis) -> list[int]:
@@ -153,20 +168,22 @@ class Hypothesis:
         return out
 
     def neutral(self) -> Floats:
-        """(k,) coordinates of a severity of zero; others at their typical value."""
+        """(k,) coordinates at which nothing has changed: a severity of zero, or as the twin has it; others at their
+        typical value."""
         searched = zip(self.searched, self._severe, strict=True)
         at: list[float] = [
             p.coordinate(p.neutral) if severe and not p.prior.log else 0.0 for (_, p), severe in searched
         ]
         low, high = self.bounds()
-        return np.asarray(np.clip(np.array(at), low, high))
+        return np.asarray(np.clip(self._as_held(np.array(at, dtype=float)), low, high))
 
     def negligible(self) -> Floats:
         """(k, n) coordinates at which the effect is smallest: severities of zero, logarithmic ones at either bound (a
         low-pass at its highest cutoff, a contact patch at its shortest)."""
         low, high = self.bounds()
         ends = np.repeat(self.neutral()[:, None], 2, axis=1)
-        free = [severe and p.prior.log for (_, p), severe in zip(self.searched, self._severe, strict=True)]
+        known, searched = dict(self.held), zip(self.searched, self._severe, strict=True)
+        free = [severe and p.prior.log and key not in known for (key, p), severe in searched]
         ends[free] = np.stack([low, high], axis=1)[free]
         return np.unique(ends, axis=1)
 
@@ -216,12 +233,8 @@ class Hypothesis:
         )
 
     def twin(self, base: Twin) -> Twin:
-        """``base`` with the effects in its file, in place of its own such, so that candidates can differ in them."""
-        if not self.effects:
-            return base
-        specs = self.spec(self.values(self.neutral()[:, None])[:, 0])
-        others = [e for e in base.effects if e.id not in self.effects]
-        return base.model_copy(update={"effects": (*others, *specs)})
+        """``base`` with the effects in its file, so that candidates can differ in them."""
+        return having_effects(base, self.spec(self.values(self.neutral()[:, None])[:, 0]))
 
     def at(self, spec: EffectSpec) -> Floats:
         """(k,) coordinates of an effect as a twin file has it."""
@@ -238,17 +251,23 @@ class Hypothesis:
             return np.zeros((0, 1))
         low, high = self.bounds()
         cube = qmc.Sobol(len(self), scramble=True, seed=seed).random(count).T
-        normal = _WIDTH * ndtri(np.clip(cube, 1e-3, 1 - 1e-3))
+        normal = self.typical()[:, None] + _WIDTH * ndtri(np.clip(cube, 1e-3, 1 - 1e-3))
         at = self.neutral()
         searched = zip(self.searched, self._severe, strict=True)
         one_sided = [
             s and not p.prior.log and low[i] >= at[i] - 1e-12 for i, ((_, p), s) in enumerate(searched)
         ]
-        normal[one_sided] = at[one_sided, None] + np.abs(normal[one_sided])
+        normal[one_sided] = (at[:, None] + np.abs(normal - self.typical()[:, None]))[one_sided]
         return np.clip(normal, low[:, None], high[:, None])
 
 
 BASELINE = Hypothesis()
+
+
+def having_effects(base: Twin, specs: Sequence[EffectSpec]) -> Twin:
+    """``base`` with effects in its file, in place of its own such."""
+    others = [e for e in base.effects if e.id not in {spec.id for spec in specs}]
+    return base.model_copy(update={"effects": (*others, *specs)}) if specs else base
 
 
 def combined(*parts: Hypothesis) -> Hypothesis:
@@ -261,4 +280,5 @@ def combined(*parts: Hypothesis) -> Hypothesis:
         tuple(e for p in parts for e in p.preexisting),
         parts[0].model,
         max(p.drives for p in parts),
+        tuple(pair for p in parts for pair in p.held),
     )

@@ -27,6 +27,7 @@ from suspension_twin.models.simulate import cores, share_out
 
 if TYPE_CHECKING:
     from suspension_twin.inference.observation import Observation
+    from suspension_twin.road.recipe import Taped
 
 __all__ = [
     "NUISANCES",
@@ -47,6 +48,7 @@ NUISANCES: Mapping[str, tuple[str, ...]] = {
     "clock_offset": ("clock", "common_clock"),
     "map_position": ("map_position",),
     "wander": ("wander",),
+    "tape": ("tape",),
     "gain": ("gain",),
     "tilt": ("tilt",),
     "bias": ("force_bias", "rate_bias"),
@@ -71,12 +73,14 @@ class ClockPriors:
 class MapPriors:
     """Standard deviations of the place on the map along the road: ``map_position`` m of all drives, ``drive_map`` m of
     each, ``wander`` m (the GNSS position's own error, one value for every pass and ``wander_seconds``; None takes
-    it from the fixes' covariance)."""
+    it from the fixes' covariance), ``tape`` m of the sizes of what was measured by tape (None: as the road's file
+    says)."""
 
     map_position: float = 0.0
     drive_map: float = 0.0
     wander: float | None = 0.0
     wander_seconds: float = 8.0
+    tape: float | None = 0.0
 
 
 @dataclass(frozen=True)
@@ -143,8 +147,9 @@ class Nuisances:
         channels: Sequence[str],
         priors: NuisancePriors,
         wander: Sequence[float],
+        taped: Taped | None = None,
     ) -> None:
-        self.priors, self.channels = priors, tuple(channels)
+        self.priors, self.channels, self.taped = priors, tuple(channels), taped
         self._force = np.array([c.endswith("acceleration") for c in channels])
         parameters: list[Parameter] = []
         channels = tuple(channels)
@@ -155,6 +160,10 @@ class Nuisances:
                 prior, unit = Prior(0.0, sigma), TABLES.nuisances[kind].unit
                 parameters.append(Parameter(name, (least, np.inf), prior, unit))
 
+        for name, sigma in taped.errors if taped is not None else ():
+            add(name, "tape", sigma)
+        #: (m, C, k) of every part: what the errors of the tape, the first k values, add to the signals for each metre.
+        self.tape_response: tuple[Floats, ...] = ()
         add("map_position", "map_position")
         add("clock_offset", "common_clock")
         if self._force.any():
@@ -224,6 +233,16 @@ class Nuisances:
         known.planar_response = tuple(responses)
         return known
 
+    def with_tape_response(self, responses: Sequence[Floats]) -> Nuisances:
+        """The same, with what each error of the tape adds to the signals of every part (m, C, k)."""
+        known = copy(self)
+        known.tape_response = tuple(responses)
+        return known
+
+    def tape_of(self, values: Floats) -> Floats:
+        """(k,) m errors of the tape of ``values`` (q,)."""
+        return values[: 0 if self.taped is None else len(self.taped.errors)]
+
     def wander_of(self, number: int, values: Floats) -> tuple[Floats, Floats]:
         """Times (k,) s and metres (k,) by which part ``number`` lies farther ahead by ``values`` (q,); none where k is
         0."""
@@ -280,6 +299,9 @@ class Nuisances:
         """
         part = self._parts[number]
         lanes = values.shape[1]
+        if self.tape_response and (taped := values[: self.tape_response[number].shape[2]]).any():
+            added = np.einsum("mck,kl->mcl", self.tape_response[number], taped, optimize=False)
+            simulated = simulated + added
 
         def value(name: str) -> Floats:
             row = self._row.get(name)

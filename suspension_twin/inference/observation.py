@@ -61,6 +61,7 @@ __all__ = [
     "Grid",
     "Observation",
     "ObserveSettings",
+    "PlaceShift",
     "Reading",
     "Usage",
     "content_digest",
@@ -89,6 +90,22 @@ _TURNS = 3
 _METRES, _SECONDS = 8.0, 4.0
 
 
+@dataclass(frozen=True, eq=False)
+class PlaceShift:
+    """How far a path is moved ``ahead`` along the vehicle's course and to the ``left``, (k,) m at the times ``t`` (k,)
+    s: linear between them, constant beyond."""
+
+    t: Floats
+    ahead: Floats
+    left: Floats
+
+    def of(self, path: Trajectory) -> Trajectory:
+        """The path moved."""
+        along, across = (np.interp(path.t, self.t, metres) for metres in (self.ahead, self.left))
+        cos, sin = np.cos(path.yaw), np.sin(path.yaw)
+        return replace(path, x=path.x + along * cos - across * sin, y=path.y + along * sin + across * cos)
+
+
 @dataclass(frozen=True)
 class ObserveSettings:
     """How a drive is observed.
@@ -96,7 +113,8 @@ class ObserveSettings:
     ``filter`` for both sides, zero-phase offline; ``max_step`` s of the simulation; ``quiet`` takes the IMU's noise out
     of the planar motion that drives it; ``outside`` is the height policy beyond the road: hold, zero, error, or that of
     the road's file; ``satellites`` takes the planar motion from the fixes alone, where the IMU itself is in question;
-    ``saturated`` compares samples at the end of the sensor's range as well, which alone show a clipped range.
+    ``saturated`` compares samples at the end of the sensor's range as well, which alone show a clipped range;
+    ``placed`` moves every path that is read from the recording.
     """
 
     filter: FilterSpec = FilterSpec()
@@ -106,6 +124,7 @@ class ObserveSettings:
     satellites: bool = False
     saturated: bool = False
     imu: ImuSettings = field(default_factory=ImuSettings)
+    placed: PlaceShift | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -450,16 +469,15 @@ class Observation:
         moved = Trajectory(path.t, x, y, yaw, velocity, turn, acceleration, path.valid)
         return _observed(replace(source, trajectory=moved), self)
 
+    def on(self, road: Road) -> Observation:
+        """The same drive on another road."""
+        return _observed(replace(self.source, road=road), self)
+
     def displaced(self, t: Floats, ahead: Floats, left: Floats | None = None) -> Observation:
         """The same drive with its path ``ahead`` along the vehicle's course and to the ``left`` by these (k,) m at the
         times ``t`` (k,) s: linear between them, constant beyond."""
-        left = np.zeros_like(ahead) if left is None else left
-        source = self.source
-        path = source.trajectory
-        along, across = (np.interp(path.t, t, metres) for metres in (ahead, left))
-        cos, sin = np.cos(path.yaw), np.sin(path.yaw)
-        x, y = path.x + along * cos - across * sin, path.y + along * sin + across * cos
-        return _observed(replace(source, trajectory=replace(path, x=x, y=y)), self)
+        shift = PlaceShift(t, ahead, np.zeros_like(ahead) if left is None else left)
+        return _observed(replace(self.source, trajectory=shift.of(self.trajectory)), self)
 
 
 def observe(
@@ -653,7 +671,8 @@ def _locked(
 ) -> Trajectory:
     datum = twin.datum or first_fix(timed)
     trajectory = locked_trajectory(timed, signals, twin.gps, datum, signals.t, upright=upright)
-    return denoised_motion(trajectory, signals, twin.cog_height) if settings.quiet else trajectory
+    found = denoised_motion(trajectory, signals, twin.cog_height) if settings.quiet else trajectory
+    return found if settings.placed is None else settings.placed.of(found)
 
 
 def _felt(timed: Drive, twin: Twin, signals: ImuSignals, road: Road, settings: ObserveSettings) -> Trajectory:

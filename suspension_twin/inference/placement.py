@@ -31,7 +31,7 @@ from suspension_twin.effects.registry import effect
 from suspension_twin.errors import WorkError
 from suspension_twin.inference.excited_segments import TrimSettings, fit_rows, trim
 from suspension_twin.inference.nuisance import course_covariance
-from suspension_twin.inference.observation import VERTICAL, Observation, observe, origin_of
+from suspension_twin.inference.observation import VERTICAL, Observation, PlaceShift, observe, origin_of
 from suspension_twin.inference.priors import SINGLE
 from suspension_twin.models.excitation import coarser
 from suspension_twin.models.parameters import lanes
@@ -39,7 +39,7 @@ from suspension_twin.models.simulate import simulate_lanes
 from suspension_twin.pose.imu_gnss_consistency import consistency
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["Placement", "is_open", "on_one_clock", "place"]
+__all__ = ["Placement", "in_reach", "is_open", "on_one_clock", "place"]
 
 #: Standard deviations of a receiver's error that are looked through, as for every nuisance parameter.
 _REACH = 3.0
@@ -78,6 +78,15 @@ class Placement:
         said = (*observation.warnings, self.words(float(observation.t[0])))
         return replace(on_the_lane(unknown), warnings=said)
 
+    def kept(self, observation: Observation) -> Observation:
+        """As :meth:`moved`, also where the recording is read with another correction of its sensor."""
+        moved, path = self.moved(observation), observation.trajectory
+        x, y = moved.trajectory.x - path.x, moved.trajectory.y - path.y
+        cos, sin = np.cos(path.yaw), np.sin(path.yaw)
+        shift = PlaceShift(path.t, x * cos + y * sin, y * cos - x * sin)
+        settings = replace(observation.settings, placed=shift)
+        return replace(moved, reading=replace(moved.source, settings=settings))
+
     def words(self, start: float) -> str:
         """One line for people, times counted from ``start`` s."""
         lost = ", ".join(f"{a - start:.0f} to {b - start:.0f} s" for a, b in self.spans)
@@ -112,6 +121,11 @@ def on_the_lane(drive: Observation) -> Observation:
     x, y = road.uv_to_xy(u, inside)
     moved = replace(path, x=np.where(off, x, path.x), y=np.where(off, y, path.y))
     return replace(drive, reading=replace(source, trajectory=moved)).displaced(path.t[:1], np.zeros(1))
+
+
+def in_reach(drive: Observation) -> Observation:
+    """The drive as near to its road as its receiver allows: what lies farther off is on another road."""
+    return on_the_lane(drive) if is_open(drive) else drive
 
 
 def _room(drive: Observation) -> float:

@@ -36,6 +36,7 @@ from suspension_twin.models.parameters import lanes
 from suspension_twin.models.simulate import simulate_lanes
 from suspension_twin.models.tracked import ObstacleRun
 from suspension_twin.models.types import Excitation
+from suspension_twin.road.recipe import Taped
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = [
@@ -122,10 +123,13 @@ class Data:
             first.bandwidth,
         )
 
-    def nuisances(self, priors: NuisancePriors, wander: Sequence[float] | None = None) -> Nuisances:
-        """The nuisance parameters; ``wander`` (m) is each drive's own position error, 0 for none."""
+    def nuisances(
+        self, priors: NuisancePriors, wander: Sequence[float] | None = None, taped: Taped | None = None
+    ) -> Nuisances:
+        """The nuisance parameters; ``wander`` (m) is each drive's own position error, 0 for none; ``taped``: features
+        of the road that were measured by tape."""
         none = [0.0] * (max(self.drive_of) + 1)
-        return Nuisances(self.parts, self.drive_of, self.channels, priors, wander or none)
+        return Nuisances(self.parts, self.drive_of, self.channels, priors, wander or none, taped)
 
 
 class Noise(Protocol):
@@ -142,7 +146,7 @@ class Likelihood:
     ``weight`` (R,) multiplies the residuals: the root of the effective sample size per sample, 0 for those that do not
     count; none where None. ``expected`` (m, C) is the discrepancy found on a reference run with the same excitation.
     With ``affine`` the residuals are affine in the readings, so that the columns of additive nuisance parameters are
-    constant.
+    constant. ``still`` (m, C, 1) are the signals of reference runs that no unknown changes.
     """
 
     data: Data
@@ -151,6 +155,7 @@ class Likelihood:
     weight: Floats | None = None
     expected: tuple[Floats | None, ...] = ()
     affine: bool = False
+    still: tuple[Floats, ...] = ()
 
     def compared(self, signals: Sequence[Floats], nuisance: Floats) -> Floats:
         """(M, C, L) simulated sensor readings for signals (m, C, L) of every part and nuisances (q, L), plus the
@@ -390,17 +395,22 @@ class Problem:
         """
         return self.signals_of(self.space.simulated_values(x[: self.d]), x[self.shared :])
 
+    @cached_property
+    def _twins(self) -> tuple[Twin, Twin]:
+        """The twins that candidates differ from on drives with the gap and on those without."""
+        simulated, hypothesis = self.space.simulated, self.hypothesis
+        return simulated(hypothesis.twin(self.twin)), simulated(hypothesis.on_reference().twin(self.twin))
+
     def signals_of(self, values: Floats, effects: Floats) -> tuple[list[Floats], NDArray[np.bool_]]:
         """As :meth:`signals`, for values (n, L) of the space's ``simulated_keys`` and coordinates (k, L) of effects."""
         space, data, hypothesis = self.space, self.data, self.hypothesis
-        twin = space.simulated(hypothesis.twin(self.twin))
+        twin, reference_twin = self._twins
         parameters = hypothesis.values(effects)
         before = hypothesis.on_reference()
         rows_before = before.on_drive(0)[1]
         earlier = np.concatenate([values, before.values(effects[hypothesis.rows(before)])[rows_before]])
         if (earlier == earlier[:, :1]).all():
             earlier = earlier[:, :1]
-        reference_twin = space.simulated(before.twin(self.twin))
         reference = lanes(reference_twin, (*space.simulated_keys, *before.on_drive(0)[0]), earlier.T)
 
         def simulated(numbers: list[int]) -> tuple[list[Floats], NDArray[np.bool_]]:
@@ -414,6 +424,8 @@ class Problem:
                     twin, lanes(twin, (*space.simulated_keys, *keys), own.T), excitation
                 )
             else:
+                if self.likelihood.still and not before.effects:
+                    return [self.likelihood.still[number] for number in numbers], np.zeros(1, dtype=bool)
                 stacked, bad = self._simulated(reference_twin, reference, excitation)
             return [self._conditioned(data.parts[number], stacked) for number in numbers], bad
 
@@ -468,6 +480,16 @@ class Problem:
             ]
             return np.concatenate([h[0] for h in halves], axis=2), np.concatenate([h[1] for h in halves])
 
+    def with_still_references(self) -> Problem:
+        """The same for a vehicle without unknowns: without a pre-existing effect its references are simulated once."""
+        signals, _ = self.signals(np.zeros((self.shared, 1)))
+        return replace(self, likelihood=replace(self.likelihood, still=tuple(signals)))
+
+    def with_twin(self, twin: Twin) -> Problem:
+        """The same with another twin."""
+        other = replace(self, twin=twin, likelihood=replace(self.likelihood, still=()))
+        return other.with_still_references() if self.likelihood.still else other
+
     def with_planar_response(self, x: Floats) -> Problem:
         """The same with the response of the vehicle at ``x`` (p,) to the planar motion alone, on a flat road.
 
@@ -486,6 +508,25 @@ class Problem:
             stacked, _ = self._simulated(twin, candidates, flat)
             responses.append(part.grid.apply(stacked)[:, :, 0])
         nuisances = self.nuisances.with_planar_response(responses)
+        return replace(self, likelihood=replace(self.likelihood, nuisances=nuisances))
+
+    def with_tape_response(self, x: Floats) -> Problem:
+        """The same with what the errors of the tape add to the signals of the vehicle at ``x`` (p,), by simulation on
+        roads with each error's standard deviation."""
+        taped = self.nuisances.taped
+        if taped is None:
+            return self
+        twin = self.space.simulated(self.twin)
+        keys, values = self.space.simulated_keys, self.space.simulated_values(x[: self.d, None])
+        candidates = lanes(twin, keys, values.T)
+        sigma = np.array([s for _, s in taped.errors])
+        responses = []
+        for part in self.data.parts:
+            changed = (taped.changed(part.road, row) for row in np.diag(sigma))
+            driven = [part.excitation, *(part.on(road).excitation for road in changed)]
+            signals = [part.grid.apply(self._simulated(twin, candidates, e)[0])[:, :, 0] for e in driven]
+            responses.append(np.stack([s - signals[0] for s in signals[1:]], axis=2) / sigma)
+        nuisances = self.nuisances.with_tape_response(responses)
         return replace(self, likelihood=replace(self.likelihood, nuisances=nuisances))
 
     def batches(self, lane_count: int) -> list[slice]:

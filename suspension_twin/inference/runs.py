@@ -17,16 +17,17 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 from suspension_twin.arrays import Floats
-from suspension_twin.drive.rig import RigRecord, read_rig, write_rig
+from suspension_twin.drive.rig import RigRecord, driven_by_wheel, read_rig, write_rig
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.files import together
 from suspension_twin.inference.gap import Comparison, Gap, write_gap
-from suspension_twin.inference.linear_corner import CORNER_CHANNELS, linear_corner
+from suspension_twin.inference.linear_corner import CORNER_CHANNELS, LinearCorner, linear_corner
 from suspension_twin.inference.marker_runs import CUTOFF, FLOORS, MARKERS, MarkerRun, low_pass, read_run
 from suspension_twin.inference.nuisance import OF_A_RIG, OF_A_RUN, NuisancePriors
 from suspension_twin.inference.observation import Grid, Observation, Usage, renamed
 from suspension_twin.models.excitation import MAX_STEP, MOTION, excitation
 from suspension_twin.models.parameters import pack
+from suspension_twin.models.quarter_car import ABOVE_WHEEL
 from suspension_twin.models.registry import model_of
 from suspension_twin.models.simulate import simulate_lanes, simulate_twin
 from suspension_twin.models.tracked import ObstacleRun
@@ -37,6 +38,7 @@ from suspension_twin.signals.common_rate import PER_PERIOD
 from suspension_twin.signals.conditioner import Conditioner
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.signals.noise_floor import spectral_floor
+from suspension_twin.vehicle.quarter_car import on_wheel
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = [
@@ -65,10 +67,9 @@ _DENSE, _WORTHWHILE = 2.0, 1.26
 _BESIDE = 0.25
 #: Standard deviations of the gain of an actuator's force from which on its sign is certain.
 _SURE = 3.0
-_REVERSED: Final = (
-    "actuator_force acts the other way round: a linear model of the runs has the body pushed down by it. Turn its "
-    "sign: a force that pushes the body up is positive"
-)
+#: Correlation from which on two transducers saw one motion, and the factor between them from which on it is no gain: a
+#: calibration is off by some per cent, the nearest wrong unit (feet) by 3.3.
+_ALIKE, _OTHER_UNIT = 0.9, 2.0
 _OBSTACLE_BLOCK = 0.5  # m of an obstacle run that is held out together
 #: m between the places of two programs.
 _APART = 1e4
@@ -173,7 +174,24 @@ def observe_rig(
         priors=OF_A_RIG,
         block=TWO_PERIODS,
     )
-    return replace(found, warnings=record.warnings)
+    return replace(found, warnings=(*record.warnings, *_contradictions(record, apply)))
+
+
+def _contradictions(record: RigRecord, apply: Callable[[ArrayLike], Floats]) -> list[str]:
+    """Channels that move as other columns of the run say, but by another factor: a unit or a sign is wrong."""
+    found = []
+    for name in CORNER_CHANNELS:
+        others = replace(record, columns={k: v for k, v in record.columns.items() if k != name})
+        derived = others.channel(name)
+        if name not in record.columns or derived is None:
+            continue
+        measured, said = apply(record.columns[name]), apply(derived)
+        factor = float(measured @ said) / max(float(said @ said), 1e-300)
+        alike = abs(float(np.corrcoef(measured, said)[0, 1])) > _ALIKE if np.ptp(measured) > 0.0 else False
+        if alike and not 1.0 / _OTHER_UNIT < factor < _OTHER_UNIT:
+            words = f"{factor:.2g} times what the displacements of body and wheel say"
+            found.append(f"{name} is {words}: a unit or a sign is another than its column says")
+    return found
 
 
 def _on_coarse_stamps(record: RigRecord, channels: Sequence[str]) -> RigRecord:
@@ -252,9 +270,22 @@ class SimulatedRun(Comparison):
             write_gap(self.as_dict(), folder)
 
 
+def input_of(twin: Twin, record: RigRecord) -> RigRecord:
+    """A run with what drives the twin as its road: the road, or the measured motion of the wheel."""
+    if not on_wheel(twin) and not {"road_displacement", "road_velocity"} & set(record.columns):
+        raise InputError(record.name, "has no road: the twin file has to say excitation: wheel")
+    return driven_by_wheel(record) if on_wheel(twin) else record
+
+
+def channels_of(twin: Twin) -> tuple[str, ...]:
+    """Channels of a rig that a twin simulates."""
+    return ABOVE_WHEEL if on_wheel(twin) else model_of(twin).channels
+
+
 def simulate_rig(record: RigRecord, twin: Twin) -> SimulatedRun:
     """Simulate ``twin`` over a run and measure the gap; raises as :func:`observe_rig` and ``simulate_twin`` do."""
-    observation = observe_rig(record, model_of(twin).channels)
+    record = input_of(twin, record)
+    observation = observe_rig(record, channels_of(twin))
     response = simulate_lanes(twin, pack(twin)[:, None], observation.excitation)
     if response.failed[0]:
         simulate_twin(twin, observation.road_excitation)  # says why
@@ -312,9 +343,9 @@ def _rig(twin: Twin, paths: Sequence[str]) -> list[Observation]:
     found: list[Observation] = []
     programs: list[Excitation] = []
     known: list[Excitation] = []
-    channels = model_of(twin).channels
+    channels = channels_of(twin)
     for path in paths:
-        one = observe_rig(_on_coarse_stamps(read_rig(path), channels), channels)
+        one = observe_rig(_on_coarse_stamps(input_of(twin, read_rig(path)), channels), channels)
         driven = one.excitation
         assert isinstance(driven, Excitation)
         program = next(
@@ -339,20 +370,38 @@ def _rig(twin: Twin, paths: Sequence[str]) -> list[Observation]:
 
 def beside_linear(runs: Sequence[Observation]) -> list[Observation]:
     """Runs of a corner with the residual of a linear model of all of them: it caps the noise, and a fit counts each
-    channel in units of it."""
+    channel in units of it. One set of transducers has one noise: a floor counts motion as noise, so the least is it."""
     channels = [c for c in CORNER_CHANNELS if all(c in run.measured for run in runs)]
     corner, sign = linear_corner(runs, channels)
     beside = np.sqrt(max(len(channels) - 1, 1) / _BESIDE)
+    turned = [_reversed(runs, corner, channels[0])] if sign < -_SURE else []
     found = []
+    known = {c for run in runs for c in run.noise_rms}
+    least = {c: min(run.noise_rms[c] for run in runs if c in run.noise_rms) for c in known}
     for run in runs:
         simulated = corner.signals(run)
         left = {c: float(np.std(run.measured[c] - simulated[c])) for c in channels}
-        floors = {c: min(floor, left.get(c, floor)) for c, floor in run.noise_rms.items()}
+        floors = {c: min(least[c], left.get(c, least[c])) for c in run.noise_rms}
         unit = {c: rms if c == channels[0] else beside * rms for c, rms in left.items()}
         usage = replace(run.usage, unit=unit)
-        warnings = (*run.warnings, *([_REVERSED] if sign < -_SURE else []))
+        warnings = (*run.warnings, *turned)
         found.append(replace(run, noise_rms=floors, usage=usage, warnings=warnings))
     return found
+
+
+def _reversed(runs: Sequence[Observation], corner: LinearCorner, channel: str) -> str:
+    """The warning of a force of the other sign, with what a linear ``corner`` explains of ``channel`` by either."""
+
+    def explained(model: LinearCorner) -> str:
+        left = sum(float(np.var(run.measured[channel] - model.signals(run)[channel])) for run in runs)
+        return f"{100.0 * (1.0 - left / sum(float(np.var(run.measured[channel])) for run in runs)):.0f} %"
+
+    up = replace(corner, force=-corner.force)
+    return (
+        f"actuator_force acts the other way round: a linear model explains {explained(corner)} of the "
+        f"{channel.replace('_', ' ')} where the force pushes the body down, {explained(up)} where it pushes it up as "
+        "recorded. Write sign: -1 for actuator_force into the mapping file, or turn the column"
+    )
 
 
 def repeats(one: Observation, other: Observation) -> bool:

@@ -12,6 +12,9 @@ with f the known force of an actuator between the masses.
 This is what each corner of a full car does that is symmetric about its middle, on a road that is the same
 under all four wheels: it cannot roll or pitch. So the kernels of ``full_car`` simulate it, with four corners alike
 and four times the masses, and every effect of a corner, of the sensor and of its clock acts by the same code.
+Where the wheel's motion was measured (``excitation: wheel``) it is the u of the first equation, by the kernel of
+``msd``, whose wheels have no mass and follow their road.
+
 The inertias of that car move no body; they are chosen so that the effective mass at each of its dampers is that of
 the corner, m_s m_u / (m_s + m_u), which the implicit damper needs.
 """
@@ -24,24 +27,29 @@ from dataclasses import replace
 import numpy as np
 
 from suspension_twin.arrays import Floats
+from suspension_twin.errors import InputError
 from suspension_twin.models import rows
 from suspension_twin.models.car import PARTS, Problems, points
 from suspension_twin.models.constants import Conditions, Constants, constants
-from suspension_twin.models.hooks import Values
+from suspension_twin.models.excitation import MOTION
+from suspension_twin.models.hooks import Values, load_hook
 from suspension_twin.models.parameters import ParameterLayout, layout, pack
 from suspension_twin.models.parts import has_part
 from suspension_twin.models.registry import Model
 from suspension_twin.models.sensor_chain import pass_chain
 from suspension_twin.models.simulate import LaneBlocks, Stretch, cores, full_response
-from suspension_twin.models.types import Excitation, LaneResponse, Response
+from suspension_twin.models.types import Excitation, LaneResponse, RepeatedRun, Response
 from suspension_twin.vehicle.corners import AXLES
+from suspension_twin.vehicle.quarter_car import on_wheel
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["CHANNELS", "MODEL"]
+__all__ = ["ABOVE_WHEEL", "CHANNELS", "MODEL"]
 
 #: Body and wheel acceleration in m/s² upwards, without gravity; compression of the suspension in m from standing; force
 #: of the road on the tyre in N.
 CHANNELS = ("body_acceleration", "wheel_acceleration", "suspension_deflection", "tyre_force")
+#: Those of a corner whose wheel's motion is given.
+ABOVE_WHEEL = ("body_acceleration", "suspension_deflection")
 _DAMPING = "vehicle.tyre.damping"
 _SCALARS = ("vehicle.sprung_mass", "vehicle.unsprung_mass", "vehicle.tyre.vertical_stiffness", "imu.latency")
 #: The car with four such corners that is no number of the twin: a square, 2 m by 2 m, with everything at 1 m.
@@ -69,9 +77,10 @@ def _numbers(twin: Twin) -> Sequence[str]:
     return [*names, _DAMPING] if has_part(twin, _DAMPING) else names
 
 
-def _car(numbers: dict[str, Floats]) -> dict[str, Floats]:
-    """Numbers (L,) of the car with four such corners."""
-    sprung, unsprung = numbers["vehicle.sprung_mass"], numbers["vehicle.unsprung_mass"]
+def _car(numbers: dict[str, Floats], above: bool) -> dict[str, Floats]:
+    """Numbers (L,) of the car with four such corners, or with what is above their wheels."""
+    sprung = numbers["vehicle.sprung_mass"]
+    unsprung = np.zeros_like(sprung) if above else numbers["vehicle.unsprung_mass"]
     car = {key: np.full(sprung.size, value) for key, value in _SQUARE.items()}
     car["vehicle.mass"] = 4.0 * (sprung + unsprung)
     car["vehicle.sprung_inertia.roll"] = car["vehicle.sprung_inertia.pitch"] = 8.0 / 3.0 * sprung
@@ -83,23 +92,28 @@ def _car(numbers: dict[str, Floats]) -> dict[str, Floats]:
     return car
 
 
-def _on_car(change: VehicleChange, own: Sequence[str]) -> VehicleChange:
+def _on_car(change: VehicleChange, own: Sequence[str], above: bool) -> VehicleChange:
     """The change of the car's numbers by an effect that changes the corner's ``own``."""
 
     def vehicle(numbers: dict[str, Floats], values: Values) -> None:
         change(numbers, values)
-        numbers.update(_car({key: numbers[key] for key in own}))
+        numbers.update(_car({key: numbers[key] for key in own}, above))
 
     return vehicle
 
 
 def _constants(twin: Twin, params: Floats, run: Excitation) -> Constants:
     """Constants of the kernel for candidates (P, L), whose problems are named by the keys of this twin."""
-    shape = layout(twin)
+    shape, above = layout(twin), on_wheel(twin)
     given = dict(zip(shape.names, params, strict=True))
-    numbers = {**given, **_car(given)}
+    numbers = {**given, **_car(given, above)}
+    kernel = "msd" if above else "full_car"
     hooks = {}
+    if above and run.motion.shape[1] > len(MOTION):
+        raise InputError("excitation", "wheel", "cannot be with the force of an actuator: give the road")
     for effect, hook in shape.hooks.items():
+        if above and effect not in shape.parts and kernel not in load_hook(effect, kernel).models:
+            raise InputError("twin", "effects", f"{effect} does not act where the wheel's motion is given")
         neutral = dict(hook.neutral)
         for name in hook.neutral:  # what an effect does at the front it does at the rear
             if name.startswith("front"):
@@ -107,9 +121,11 @@ def _constants(twin: Twin, params: Floats, run: Excitation) -> Constants:
                 neutral[rear] = hook.neutral[name]
                 numbers[f"effects.{effect}.{rear}"] = given[f"effects.{effect}.{name}"]
         hooks[effect] = replace(
-            hook, neutral=neutral, vehicle=hook.vehicle and _on_car(hook.vehicle, tuple(given))
+            hook,
+            neutral=neutral,
+            vehicle=hook.vehicle and _on_car(hook.vehicle, tuple(given), above),
         )
-    car = ParameterLayout(tuple(numbers), "full_car", hooks, shape.mounting, shape.parts)
+    car = ParameterLayout(tuple(numbers), kernel, hooks, shape.mounting, shape.parts)
     known = constants(np.stack(list(numbers.values())), car, Conditions.of(run))
     problems = [
         (mask, key.replace(".front", "").replace(".rear", ""), text)
@@ -119,7 +135,7 @@ def _constants(twin: Twin, params: Floats, run: Excitation) -> Constants:
 
 
 def _lanes(twin: Twin, params: Floats, excitation: Excitation, threads: int | None = None) -> LaneResponse:
-    run, known = excitation, _constants(twin, params, excitation)
+    run, known, above = excitation, _constants(twin, params, excitation), on_wheel(twin)
     blocks = LaneBlocks(known)
     n, count = len(run), blocks.lanes
     signals = np.empty((n, 10, count))
@@ -131,15 +147,23 @@ def _lanes(twin: Twin, params: Floats, excitation: Excitation, threads: int | No
         stretch = Stretch(run.substeps, run.motion, begin, end, road)
         blocks.walk(stretch, read, states, threads or cores())
         body, wheel = states[:, rows.HEAVE, :count], states[:, rows.WHEEL, :count]
+        if above:
+            wheel = run.road[run.first[begin + 1 : end + 1] - 1, :1] + known.values[rows.STATIC]
         signals[begin:end, :7] = read[:, :, :count]
         signals[begin:end, 7] = states[:, rows.WHEEL_ACCELERATION, :count]
         signals[begin:end, 8] = wheel - body - known.values[rows.STATIC]
         signals[begin:end, 9] = states[:, rows.CONTACT, :count]
+    if isinstance(run, RepeatedRun):
+        for name, missed in zip(run.channels, run.missed.T, strict=True):
+            at = [2, 6] if name == CHANNELS[0] else [6 + CHANNELS.index(name)]
+            signals[:, at] += missed[:, None, None]
     # the chain changes what the accelerometer on the body reads; the clock stamps all channels
     pass_chain(known, run, signals)
     failed = blocks.failed | ~np.isfinite(signals).all(axis=(0, 1))
     signals[:, :, failed] = 0.0
-    return LaneResponse(run.t, CHANNELS, np.ascontiguousarray(signals[:, 6:]), failed)
+    names = ABOVE_WHEEL if above else CHANNELS
+    kept = [6 + CHANNELS.index(name) for name in names]
+    return LaneResponse(run.t, names, np.ascontiguousarray(signals[:, kept]), failed)
 
 
 def _respond(twin: Twin, run: Excitation) -> Response:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
@@ -19,6 +19,7 @@ __all__ = [
     "LaneResponse",
     "PlanarPath",
     "PoseSample",
+    "RepeatedRun",
     "Response",
     "SensorReading",
     "WheelMotion",
@@ -117,6 +118,17 @@ class Excitation:
     def speed(self) -> Floats:
         """(n,) m/s forward speed of base_link's origin."""
         return self.motion[:, 5]
+
+
+@dataclass(frozen=True, eq=False)
+class RepeatedRun(Excitation):
+    """A program that was run before: ``missed`` (n, C) is what the model was short of then in some ``channels``.
+
+    It is added to what the sensors see, so that a low-pass or a gain since then acts on it as on all else.
+    """
+
+    channels: tuple[str, ...] = ()
+    missed: Floats = field(default_factory=lambda: np.empty((0, 0)))
 
 
 @dataclass(frozen=True, eq=False)

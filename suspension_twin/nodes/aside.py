@@ -27,7 +27,7 @@ _LONGEST = 20.0
 
 
 class Aside:
-    """Work of a node beside its own. Callbacks that wait for it are coroutines in ``group``, which holds up nothing
+    """Work of a node beside its topics. Callbacks that wait for it are coroutines in ``group``, which holds up nothing
     else of the node."""
 
     def __init__(self, node: Node) -> None:
@@ -54,7 +54,7 @@ class Aside:
         return condition()
 
     async def do(self, work: Callable[[], Done]) -> Done:
-        """Result of ``work``, or what it raises; a thread does one piece after the other.
+        """Run ``work`` on a thread, one piece after the other; its result, or what it raises.
 
         Raises InputError where it takes too long. The thread comes to its end alone then, and until it has what else is
         asked for is refused.

@@ -119,6 +119,13 @@ class CalibratorNode(ManagedNode):
             600.0,
         ),
         Param(
+            "waiting_goals",
+            0,
+            "Goals that may wait until the one that runs has ended; 0: a second goal is refused.",
+            0,
+            100,
+        ),
+        Param(
             "keep_sensor",
             False,
             "Whether a calibration leaves latency and mounting of the IMU as the file has them.",
@@ -130,6 +137,9 @@ class CalibratorNode(ManagedNode):
         #: Work of the worker for a goal, by the name of the action.
         self.works: dict[str, Work] = {a.name: a.work for a in ACTIONS} | dict(works or {})
         self._running: _Running | None = None
+        #: The goal whose turn it is, running or about to, and those that wait, with whether each gets its turn.
+        self._turn: tuple[Action, ServerGoalHandle] | None = None
+        self._waiting: deque[tuple[Action, ServerGoalHandle, Future]] = deque()
         self._timer: Timer | None = None
         self._servers = [
             ActionServer(
@@ -159,14 +169,17 @@ class CalibratorNode(ManagedNode):
         super().destroy_node()
 
     def _busy(self) -> str:
-        if self._running is None:
+        if not self.active or self._turn is None:
             return "the node is not active"
-        name = self._running.action.name
-        return f"a goal of {name} is running: cancel it or wait for its result"
+        waiting = f" and {len(self._waiting)} wait" if self._waiting else ""
+        return f"a goal of {self._turn[0].name} is running{waiting}: cancel it or wait for its result"
+
+    def _takes_another(self) -> bool:
+        return self._turn is None or len(self._waiting) < self.values["waiting_goals"]
 
     async def _on_goal(self, action: Action, _goal: object) -> GoalResponse:
         await self._answerable(f"{self.resolve_service_name(action.name)}/_action/send_goal")
-        if self._running is None and self.active:
+        if self.active and self._takes_another():
             return GoalResponse.ACCEPT
         self.note("rejected goals", WARN, f"{action.name}: goal rejected, {self._busy()}")
         return GoalResponse.REJECT
@@ -185,6 +198,9 @@ class CalibratorNode(ManagedNode):
 
     def _on_cancel(self, goal: ServerGoalHandle) -> CancelResponse:
         running = self._running
+        for _, waits, turn in self._waiting:
+            if waits.goal_id == goal.goal_id and not turn.done():
+                turn.set_result(False)
         if running is not None and running.goal.goal_id == goal.goal_id:
             running.worker.stop()
             patience = self.values["cancel_patience"] if running.action.has_partial else 0.0
@@ -192,6 +208,39 @@ class CalibratorNode(ManagedNode):
         return CancelResponse.ACCEPT
 
     async def _execute(self, action: Action, goal: ServerGoalHandle) -> Calibrate.Result | Diagnose.Result:
+        if not self._takes_another():  # two goals accepted before either began
+            goal.abort()
+            return action.kind.Result(message=self._busy())
+        if self._turn is not None:
+            turn = Future(executor=self.executor)
+            self._waiting.append((action, goal, turn))
+            self._feed_back(action, goal, action.step("waiting"))
+            if not await turn:
+                self._waiting = deque(entry for entry in self._waiting if entry[2] is not turn)
+                goal.canceled()
+                return action.kind.Result(message="cancelled while it waited")
+        self._turn = action, goal
+        try:
+            return await self._work(action, goal)
+        finally:
+            self._next()
+
+    def _next(self) -> None:
+        """The turn of the goal that has waited longest and was not cancelled."""
+        self._turn = None
+        while self._waiting:
+            action, goal, turn = self._waiting.popleft()
+            if not turn.done():
+                self._turn = action, goal
+                turn.set_result(True)
+                if self.executor is not None:
+                    self.executor.wake()
+                break
+
+    async def _work(self, action: Action, goal: ServerGoalHandle) -> Calibrate.Result | Diagnose.Result:
+        if not self.active:
+            goal.abort()
+            return action.kind.Result(message=self._busy())
         try:
             with reading(action.name, "a goal"), for_peers(self.own_log.warning):
                 job = await self.aside.do(lambda: self._job(action, goal.request))
@@ -202,13 +251,10 @@ class CalibratorNode(ManagedNode):
         if goal.is_cancel_requested:
             goal.canceled()
             return action.kind.Result(message="cancelled: nothing was written")
-        if self._running is not None:  # another one was read meanwhile
-            goal.abort()
-            return action.kind.Result(message=self._busy())
         worker = Worker(self.works[action.name], job)
         self._running = _Running(action, goal, worker, Future(executor=self.executor))
         self._timer = self.create_timer(TICK, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self._feed_back(self._running, action.step("reading", note="starting a worker process"))
+        self._feed_back(action, goal, action.step("reading", note="starting a worker process"))
         outcome = await self._running.finished
         if goal.is_cancel_requested:
             goal.canceled()
@@ -238,7 +284,7 @@ class CalibratorNode(ManagedNode):
             self._listen(running)
             pending = bool(running.steps)
             for _ in range(min(len(running.steps), 1 + len(running.steps) // 10)):
-                self._feed_back(running, running.steps.popleft())
+                self._feed_back(running.action, running.goal, running.steps.popleft())
         except Exception as error:  # the client gets a result in any case
             running.fail(f"unexpected error, {type(error).__name__}")
             self.own_log.error(f"{running.action.name}: {type(error).__name__}: {error}")
@@ -261,14 +307,15 @@ class CalibratorNode(ManagedNode):
             late = "no result within cancel_patience" if running.action.has_partial else "nothing was written"
             running.fail(f"cancelled: {late}")
 
-    def _feed_back(self, running: _Running, step: Step) -> None:
+    def _feed_back(self, action: Action, goal: ServerGoalHandle, step: Step) -> None:
         note = f" ({step.note})" if step.note else ""
-        self.health.values["state"] = f"{step.stage}{note}, {running.action.describe(step)}"
-        feedback = running.action.kind.Feedback()
+        if (action, goal) == self._turn:
+            self.health.values["state"] = f"{step.stage}{note}, {action.describe(step)}"
+        feedback = action.kind.Feedback()
         feedback.header.stamp = self.stamp_now()
         for name in feedback.get_fields_and_field_types().keys() - {"header"}:
             setattr(feedback, name, getattr(step, name))
-        running.goal.publish_feedback(feedback)
+        goal.publish_feedback(feedback)
 
     def _finish(self, running: _Running) -> None:
         self._running = None

@@ -127,8 +127,10 @@ def calibration_job(goal: Any, twin_file: str, threads: int, keep_sensor: bool =
     output = _output(goal.output, bags[0], "calibrated.yaml")
     if output.is_dir() or not _writable(output.parent):
         raise InputError(output, "cannot be written: name a file in a folder that exists")
-    if output.exists() and not details_path(output).exists():
-        raise InputError(output, "is no result of a calibration: not overwritten")
+    if output.exists() and not (goal.overwrite or details_path(output).exists()):
+        raise InputError(
+            output, "is no result of a calibration: not overwritten, unless the goal says overwrite"
+        )
     request = calibration.CalibrationRequest(
         twin=twin,
         bags=bags,
@@ -149,8 +151,11 @@ def diagnosis_job(goal: Any, twin_file: str, threads: int) -> Job:
     folder = _output(goal.output, bags[0], "diagnosis")
     if not _writable(folder if folder.exists() else folder.parent):
         raise InputError(folder, "cannot be written: name a folder, in one that exists")
-    if folder.exists() and any(folder.iterdir()) and not (folder / "diagnosis.json").exists():
-        raise InputError(folder, "is no folder of a diagnosis: not overwritten")
+    kept = folder.exists() and any(folder.iterdir()) and not (folder / "diagnosis.json").exists()
+    if kept and not goal.overwrite:
+        raise InputError(
+            folder, "is no folder of a diagnosis: not overwritten, unless the goal says overwrite"
+        )
     request = diagnosis.DiagnosisRequest(twin, bags, reference, int(goal.seed))
     return Job(request, str(folder), threads)
 

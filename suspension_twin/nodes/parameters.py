@@ -202,8 +202,7 @@ FILTER = (
 
 
 class NamedTwin(NamedTuple):
-    """Contents of a twin file that somebody names: the twin, the road that it drives on, and the residual of its
-    calibration."""
+    """The twin behind a path that somebody names, the road that it drives on, and the residual of its calibration."""
 
     twin: Twin
     road: Road | None
@@ -236,7 +235,7 @@ def read_named(path: str) -> NamedTwin:
 
 
 def named_twin(values: Values) -> NamedTwin | None:
-    """The reading of :func:`read_named` for the parameter ``twin``; None before."""
+    """The files of the parameter ``twin``, where :func:`read_named` has read them."""
     return _NAMED.get(values["twin"])
 
 

@@ -94,8 +94,9 @@ class SuspensionModelNode(ManagedNode):
         Param("base_frame", "base_link", "Frame of the vehicle's body.", read_only=True),
         Param(
             "visual_rate",
-            100.0,
-            "Largest rate in Hz of twin/pose, joint_states and /tf; up to it there is one message per sample.",
+            60.0,
+            "Largest rate in Hz of twin/pose, joint_states and /tf, evenly spaced; up to it there is one message per "
+            "sample. 2000: every sample, for a recording.",
             0.1,
             2000.0,
         ),

@@ -119,7 +119,7 @@ def satellite_motion(
     # heights that the receiver does not vouch for are right if the IMU feels their slopes
     if not known and not signals.standing.any():
         hills -= hills[fast].mean()  # a bias that came from the drive's mean has it already
-    if known or np.var(beyond - hills[cut][trajectory.valid]) < np.var(beyond):
+    if known or (beyond.size and np.var(beyond - hills[cut][trajectory.valid]) < np.var(beyond)):
         force -= np.outer(hills[cut], ahead)
     slower = replace(
         signals,

@@ -30,6 +30,7 @@ __all__ = ["calibration_page"]
 _WINDOW = 4.0  # s of a panel in time
 _PANELS = 3
 _WAVE = 3.0  # m: longer waves of the road are left out of its profile
+_NEAR = 10.0  # m to either side of a bump that its passes are drawn
 _LONGEST_RATED = 20.0  # s of a drive that ISO/TS 18571 rates: its time warping costs with the square
 #: Meaning of each status, and its colour in the table.
 _MEANINGS = {
@@ -193,7 +194,25 @@ def _drive_section(drive: DriveFit) -> Section:
         (_two_sided(drive), "Amplitude spectra as the car paper's Fig. 11 has them."),
         (_by_road(drive), "Residual by position along the road."),
     ]
+    if drive.received is not None:
+        figures.insert(0, (_passes(drive), "Measured passes over the bump, laid over one another."))
     return Section(drive.name, text, *(f for f, _ in figures), captions=tuple(c for _, c in figures))
+
+
+def _passes(drive: DriveFit) -> Figure:
+    """Every pass near the highest point of the road, by the receiver's positions and by those that were found."""
+    along, heights = drive.profile
+    bump = float(along[int(np.argmax(np.abs(heights - np.median(heights, axis=0)).max(axis=1)))])
+    assert drive.received is not None
+    lines = list[list[tuple[Floats, Floats]]](([], []))
+    for first, last in runs(drive.compared):
+        sense = float(np.sign(drive.position[last - 1] - drive.position[first]))
+        if (np.abs(drive.position[first:last] - bump) < 0.5).any():
+            for found, place in zip(lines, (drive.received, drive.position), strict=True):
+                way = sense * (place[first:last] - bump)
+                near = np.abs(way) < _NEAR
+                found.append((way[near], drive.measured[drive.channel][first:last][near]))
+    return plots.passes(*lines)
 
 
 def _in_time(drive: DriveFit, channel: str, label: str) -> Figure:

@@ -30,6 +30,7 @@ __all__ = [
     "convergence",
     "in_frequency",
     "in_time",
+    "passes",
     "path_map",
     "residual_by_road",
     "two_sided",
@@ -250,6 +251,27 @@ def _binned(distance: Floats, values: Floats, edges: Floats) -> Floats:
     out: Floats = np.full(count.shape, np.nan)
     np.sqrt(total / np.maximum(count, 1), out=out, where=count > 0)
     return out
+
+
+def passes(
+    before: Sequence[tuple[Floats, Floats]],
+    after: Sequence[tuple[Floats, Floats]],
+    *,
+    label: str = ACCELERATION,
+) -> Figure:
+    """Passes over one place laid over one another: each a line of a signal (k,) over m driven (k,) in the direction of
+    travel, ``before`` and ``after`` they were placed."""
+    with style.drawing(9.2, 3.2, 1, 2, sharey=True) as (fig, axes):
+        for ax, lines, title in zip(
+            axes, (before, after), ("by the receiver", "placed by what was felt"), strict=True
+        ):
+            for number, (way, values) in enumerate(lines, 1):
+                ax.plot(way, values, linewidth=1.0, label=f"pass {number}")
+            ax.set_title(title, fontsize=10)
+            ax.set_xlabel("m beyond the bump")
+        axes[0].set_ylabel(label)
+        _legend(fig, axes[0])
+    return fig
 
 
 def convergence(

@@ -28,7 +28,16 @@ from suspension_twin.errors import InputError, shown
 from suspension_twin.files import read_bytes, read_json, reader, replacing
 from suspension_twin.road.road import Border, Borders, Fade, ReferenceLine, Road
 
-__all__ = ["CrgFile", "examine", "load_road", "record_path", "scan_holes", "warning_of", "write_road"]
+__all__ = [
+    "CrgFile",
+    "comment_of",
+    "examine",
+    "load_road",
+    "record_path",
+    "scan_holes",
+    "warning_of",
+    "write_road",
+]
 
 _LOGGER = logging.getLogger("pycrg")
 
@@ -319,6 +328,14 @@ def examine(path: Path) -> CrgFile:
     sections = [name.startswith("long section") for name in header.channels]
     mods = next((h.values["mods"] for h in headers if "mods" in h.values), None)
     return CrgFile(header.values["road"], mods, values.shape[0], float(np.isnan(values[:, sections]).mean()))
+
+
+def comment_of(path: Path) -> list[str]:
+    """The lines of the comment in the header of a road file."""
+    head = _bytes(path).split(b"\n$$$$", 1)[0].decode("latin-1").splitlines()
+    begin = next((i + 1 for i, line in enumerate(head) if line.upper().startswith("$CT")), len(head))
+    end = next((i for i in range(begin, len(head)) if head[i].startswith("$")), len(head))
+    return head[begin:end]
 
 
 def _bytes(path: Path) -> bytes:

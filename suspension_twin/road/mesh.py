@@ -4,9 +4,10 @@
 The car paper (section 5.3) took a road to Unity through four programs (the OpenCRG tools, a
 surface-to-STL script, a CAD program, an OBJ import); this is one step from the road itself.
 
-Axes. ``up="z"``: those of ``map``, x east, y north, z up. ``up="y"``: x west, y up, z north, which
-is right-handed as OBJ has it; Unity mirrors x when it reads a mesh, so that there x is east, y up
-and z north. Triangles are counter-clockwise seen from above in either.
+Axes. ``up="z"``: those of ``map``, x east, y north, z up. ``up="y"``: x north, y up, z east, which
+is right-handed as OBJ has it; Unity mirrors x when it reads a mesh, so that there x is south, y up
+and z east, as :func:`suspension_twin.addons.view.axes.to_unity` has a pose on this road. Triangles
+are counter-clockwise seen from above in either.
 """
 
 from __future__ import annotations
@@ -120,7 +121,7 @@ def road_mesh(
     points = np.stack([x - shift[0], y - shift[1], z - shift[2]], axis=-1)
     normals = _normals(points)
     if up == "y":
-        points, normals = (np.stack([-c[..., 0], c[..., 2], c[..., 1]], axis=-1) for c in (points, normals))
+        points, normals = (np.roll(c, -1, axis=-1) for c in (points, normals))
     return RoadMesh(road.name, points, normals, u, v, shift)
 
 

@@ -100,7 +100,9 @@ class GnssMotion:
         reach = round(CLIMB / 0.5)
         low = np.maximum(np.arange(grid.size) - reach, 0)
         high = np.minimum(np.arange(grid.size) + reach, grid.size - 1)
-        far = way[high] - way[low] > FAST * CLIMB  # on a shorter way the altitudes' errors are slopes, too
+        # on a shorter way the altitudes' errors are slopes, too: three deviations of them stay below the steepest road
+        sigma = np.interp(grid, stamps, np.nan_to_num(fix.sigma[good, 2][first], posinf=0.0))
+        far = way[high] - way[low] > np.maximum(FAST * CLIMB, 3.0 * sigma / STEEPEST)
         if not far.any():
             return None
         slope = np.arctan2((altitude[high] - altitude[low])[far], (way[high] - way[low])[far])

@@ -20,7 +20,7 @@ from suspension_twin.vehicle.twin import (
     TyreDamping,
 )
 
-__all__ = ["QuarterCar", "QuarterCarTwin"]
+__all__ = ["QuarterCar", "QuarterCarTwin", "on_wheel"]
 
 
 #: Hz of the body on its spring: half that of a soft limousine, and twice that of a rig for teaching.
@@ -66,9 +66,11 @@ class QuarterCar(Strict):
 
 class QuarterCarTwin(Twin):
     """The twin of a corner on a rig. ``imu`` is the accelerometer on the sprung mass; its place has no effect, and its
-    ``latency`` s is that of all responses behind the road and the actuator's force."""
+    ``latency`` s is that of all responses behind the road and the actuator's force. ``excitation``: a run drives the
+    tyre by its ``road``, or the suspension by the measured motion of its ``wheel``, and nothing below is simulated."""
 
     model: Literal["quarter_car"]
+    excitation: Literal["road", "wheel"] = "road"
     vehicle: QuarterCar
     imu: Imu = Imu()
 
@@ -77,5 +79,14 @@ class QuarterCarTwin(Twin):
         return ("suspension",)
 
     @property
+    def acted_on(self) -> tuple[str, ...]:
+        return (self.model, "msd") if self.excitation == "wheel" else (self.model,)
+
+    @property
     def axles(self) -> dict[str, Suspension]:
         return self.vehicle.axles
+
+
+def on_wheel(twin: Twin) -> bool:
+    """Whether the measured motion of a wheel drives the twin of a corner."""
+    return isinstance(twin, QuarterCarTwin) and twin.excitation == "wheel"

@@ -411,6 +411,11 @@ class Twin(Strict):
         return {}
 
     @property
+    def acted_on(self) -> tuple[str, ...]:
+        """Models that an effect has to act on, to act on this twin."""
+        return (self.model,)
+
+    @property
     def cog_height(self) -> float:
         """Height in m of the centre of gravity above the ground."""
         return 0.0

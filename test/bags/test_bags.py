@@ -71,15 +71,18 @@ def low_pass(x, cutoff=20.0):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("scene", "seconds"), [("bump_15kmh", 10.6), ("crg_road", 6.0)])
+@pytest.mark.parametrize(
+    ("scene", "seconds"), [("bump_15kmh", 10.6), ("bump_phone", 10.6), ("crg_road", 6.0)]
+)
 def test_the_program_makes_the_beginning_of_the_committed_drive(maker, scene, seconds):
     """Another MuJoCo or libm may round otherwise: then a sample may fall to the converter's next step."""
-    again = maker.simulate(maker.scenes.SCENES[scene](), seconds).drive
+    made = maker.scenes.SCENES[scene]()
+    again = maker.simulate(made, seconds).drive
     kept = read_drive(BAGS / scene)
     n = len(again.imu) - 2
-    assert n > 0.97 * 100 * seconds
+    assert n > 0.97 * made.phone.rate * seconds
     np.testing.assert_allclose(kept.imu.t[:n], again.imu.t[:n], rtol=0, atol=1e-6)
-    phone = maker.Phone()
+    phone = made.phone
     for ours, theirs, step in (
         (again.imu.specific_force, kept.imu.specific_force, phone.force_step),
         (again.imu.angular_rate, kept.imu.angular_rate, phone.rate_step),
@@ -104,6 +107,28 @@ def test_the_road_and_twin_files_are_the_program_s(maker, scene, tmp_path):
         (tmp_path / "road.crg").touch()
         maker.save_twin(twin, tmp_path / file)
         assert (tmp_path / file).read_text() == (BAGS / scene / file).read_text()
+
+
+def test_the_phone_s_drive(tmp_path, maker):
+    """As a phone records it by itself, small, with a car that has no road and no place yet."""
+    from suspension_twin.signals.offline import ingest_drive
+
+    folder, drive = BAGS / "bump_phone", read_drive(BAGS / "bump_phone")
+    assert sum(f.stat().st_size for f in folder.iterdir()) < 1_000_000
+    assert np.median(np.diff(drive.imu.t)) == pytest.approx(1 / 67, abs=1e-3)
+    assert np.median(np.diff(drive.fix.t)) == pytest.approx(1.0, abs=1e-6)
+    twin = load_twin(folder / "car.yaml")
+    assert twin.road is None and twin.datum is None and twin.gps.position == twin.imu.position
+    maker.save_twin(maker.preset_twin(maker.scenes.bump_phone()), tmp_path / "car.yaml")
+    assert (tmp_path / "car.yaml").read_text() == (folder / "car.yaml").read_text()
+    exact = read_drive(BAGS / "bump_15kmh")
+    began = drive.imu.t[0] - exact.imu.t[0]
+    east, north = (
+        (getattr(drive.fix, k) - np.interp(drive.fix.t - began - 0.4, exact.fix.t, getattr(exact.fix, k))) * m
+        for k, m in (("longitude", 111_200.0 * math.cos(math.radians(47.4))), ("latitude", 111_200.0))
+    )
+    assert 1.0 < np.sqrt(np.mean(east**2 + north**2)) < 6.0
+    assert [f for f in ingest_drive(drive, twin.imu).findings if f.level != "ok"] == []
 
 
 def test_the_reality_imports_nothing_of_the_package():

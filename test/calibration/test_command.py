@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -140,7 +141,11 @@ def test_the_bundled_drive_gives_the_inertia_and_intervals_around_what_was_found
     bag = repository / "bags" / "bump_15kmh"
     out = tmp_path / "calibrated.yaml"
     assert main(["calibrate", "--twin", str(bag / "twin.yaml"), str(bag), "--out", str(out)]) == 0
-    rows = {p["key"]: p for p in yaml.safe_load(details_path(out).read_text())["parameters"]}
+    details = yaml.safe_load(details_path(out).read_text())
+    assert (
+        details["explained_variance"]["held_out"] == "passes" and details["explained_variance"]["twin"] > 0.8
+    )
+    rows = {p["key"]: p for p in details["parameters"]}
     true = load_twin(bag / "truth.yaml").vehicle
     found = load_twin(out).vehicle
     assert found.sprung_inertia.pitch == pytest.approx(true.sprung_inertia.pitch, rel=0.05)
@@ -153,3 +158,16 @@ def test_the_bundled_drive_gives_the_inertia_and_intervals_around_what_was_found
     assert len(inner) > 30
     place = [(p["value"] - p["interval_90"][0]) / np.ptp(p["interval_90"]) for p in inner]
     assert min(place) > 0.02 and max(place) < 0.98
+
+
+def test_what_is_written_is_said_once_the_input_is_known_to_be_usable(
+    repository: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    twin = repository / "bags" / "bump_15kmh" / "twin.yaml"
+    bare = tmp_path / "bare.yaml"
+    bare.write_text(re.sub(r"(?m)^road:.*$", "", twin.read_text(encoding="utf-8")), encoding="utf-8")
+    for given, bag in ((twin, tmp_path / "nothing"), (bare, repository / "bags" / "bump_15kmh")):
+        for command in ("calibrate", "diagnose"):
+            out = tmp_path / f"{command}.yaml"
+            assert main([command, "--twin", str(given), str(bag), "--out", str(out)]) in (1, 2)
+            assert capsys.readouterr().out == "", command

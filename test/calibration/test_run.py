@@ -19,6 +19,7 @@ from suspension_twin.calibration.request import CalibrationRequest, CalibrationR
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.calibration.setup import set_up
 from suspension_twin.drive.read import read_drive
+from suspension_twin.drive.write import write_drive
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.inference.gauss_newton import GaussNewton, GaussNewtonSettings, Quadratic
 from suspension_twin.inference.noise import Whitener
@@ -127,6 +128,9 @@ def test_a_drive_not_seen_is_left_with_the_noise(rough_case: Any, fast: Any) -> 
     before = there.gap(there.condition(simulate_twin(rough_case.start, there.excitation))).rms
     assert ours < 1.1 * true
     assert before > 2 * true
+    assert (
+        result.yardstick is not None and result.yardstick.held_out == "road" and result.yardstick.twin > 0.8
+    )
 
 
 def test_forces_are_found_and_intervals_hold_them(rough_case: Any, fast: Any) -> None:
@@ -180,6 +184,18 @@ def test_an_inertia_that_starts_right_is_kept_and_one_that_starts_wrong_is_not(
     found = {e.key: e for e in result.estimates}
     pitch = found["vehicle.sprung_inertia.pitch"]
     assert pitch.status == "identified" and pitch.value == pytest.approx(2600.0, rel=0.03)
+
+
+def test_passes_over_one_bump_are_held_out_whole(pass_case: Any, tmp_path: Path) -> None:
+    """The road without its bump shows nothing of it; a single pass leaves nothing to predict it from."""
+    alone = calibrate(CalibrationRequest(pass_case.twin, (pass_case.bag("pass"),)))
+    assert alone.yardstick is None and any(w.startswith("one pass over what excites") for w in alone.warnings)
+    drive = read_drive(pass_case.bag("pass"))
+    force = drive.imu.specific_force + np.random.default_rng(7).normal(0.0, 0.05, (drive.imu.t.size, 3))
+    write_drive(replace(drive, imu=replace(drive.imu, specific_force=force)), tmp_path / "again")
+    both = calibrate(CalibrationRequest(pass_case.twin, (pass_case.bag("pass"), str(tmp_path / "again"))))
+    assert both.yardstick is not None and both.yardstick.held_out == "passes"
+    assert both.yardstick.twin > 0.9 and not any("one pass" in w for w in both.warnings)
 
 
 def test_every_count_of_what_is_identified_is_the_same(fast: Any) -> None:

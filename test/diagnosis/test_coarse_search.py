@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -52,8 +53,14 @@ def test_a_prior_moves_to_what_is_far_and_stays_for_what_is_near(car: Twin) -> N
     assert both.centre().tolist() == [0.0, 0.0, 31.0, 0.0]
     assert both.without("time_offset") == moved
     assert both.without("sensor_tilt").centre().tolist() == [0.0]
-    charged = coarse_search.waived_penalty(np.array([[0.5, 31.0], [2.0, 0.0]]))
+    charged = coarse_search.waived_penalty(tilt, np.array([[0.5, 31.0], [2.0, 0.0], [0.0, 0.0]]))
     assert charged.tolist() == [0.0, 31.0**2 - coarse_search.MISALIGNMENT_PENALTY]
+    held = replace(
+        clock, held=(("effects.time_offset.offset", 0.2),)
+    )  # four standard deviations: its own place
+    assert coarse_search.recentred(held, np.array([5.0])) is held
+    assert coarse_search.recentred(held, np.array([0.0])).centre().tolist() == [0.0]
+    assert not coarse_search.waived_penalty(held, np.array([[4.0]])).any()
 
 
 def test_only_what_can_be_set_wrong_is_looked_for_everywhere(car: Twin) -> None:

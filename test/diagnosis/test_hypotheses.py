@@ -20,9 +20,12 @@ from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin
 def offered(request: Any, car: Twin, repository: Path) -> tuple[str, list[Hypothesis]]:
     """An effect and its hypotheses on a model that it applies to."""
     name, model = request.param
+    return name, variants(EFFECTS[name].on(model), _of_model(model, car, repository))
+
+
+def _of_model(model: str, car: Twin, repository: Path) -> Twin:
     tracked = load_twin(repository / "config" / "tracked" / "pt91.yaml")
-    twin = tracked if model == "tracked" else car.model_copy(update={"model": model})
-    return name, variants(EFFECTS[name].on(model), twin)
+    return tracked if model == "tracked" else car.model_copy(update={"model": model})
 
 
 def test_starts_lie_in_the_bounds_and_away_from_nothing(offered: tuple[str, list[Hypothesis]]) -> None:
@@ -47,12 +50,34 @@ def test_every_choice_is_a_hypothesis(car: Twin) -> None:
     assert corners == [0.0, 1.0, 2.0, 3.0]
 
 
-def test_the_library_leaves_out_what_the_twin_has_and_what_needs_a_road(car: Twin) -> None:
+def test_the_library_leaves_out_what_needs_a_road(car: Twin) -> None:
     everything = {n for n, e in EFFECTS.items() if "full_car" in e.hook.models}
     assert set(library(car, excited=True)) == everything - set(DECOYS)
     assert set(library(car, excited=False)) == set(WITHOUT_ROAD)
+
+
+def test_an_effect_that_the_twin_has_is_offered_with_another_size(
+    offered: tuple[str, list[Hypothesis]], car: Twin, repository: Path
+) -> None:
+    """No change is the twin's own size, about which the prior and the starts lie; a part that it is of stays."""
+    name, (*_, first) = offered
+    (spec,) = first.spec(first.values(first.starts(4, 2))[:, 2])
+    twin = _of_model(first.model, car, repository).model_copy(update={"effects": (spec,)})
+    (other,) = variants(EFFECTS[name].on(first.model), twin)
+    assert other.fixed == first.fixed and other.keys == first.keys
+    for still in (other.centre(), other.neutral(), *other.negligible().T):
+        assert_allclose(still, first.at(spec), rtol=1e-9, atol=1e-12)
+    starts, (low, high) = other.starts(64, 1), other.bounds()
+    inside = (other.centre() > low + 2.0) & (other.centre() < high - 2.0)
+    assert np.all(np.abs(np.median(starts, axis=1) - other.centre())[inside] < 0.5)
+    assert combined(other, other.without(name)).held == other.held and not other.without(name).held
+    assert [e.id for e in other.twin(twin).effects] == [name]
+
+
+def test_the_library_holds_what_the_twin_has(car: Twin) -> None:
     having = car.model_copy(update={"effects": (EffectSpec(id="time_offset", parameters={"offset": 0.1}),)})
-    assert "time_offset" not in library(having, excited=True)
+    (clock,) = library(having, excited=True)["time_offset"]
+    assert clock.values(clock.centre()[:, None])[0, 0] == pytest.approx(0.1)
 
 
 def test_a_decoy_is_named_only_where_it_is_asked_for(car: Twin) -> None:

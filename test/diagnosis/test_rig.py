@@ -9,11 +9,19 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from scipy.signal import butter, sosfiltfilt
 
 from suspension_twin.cli.main import main
-from suspension_twin.inference.runs import observe_runs
-from suspension_twin.vehicle.twin import load_twin
+from suspension_twin.diagnosis.library import library
+from suspension_twin.diagnosis.request import DiagnosisRequest
+from suspension_twin.diagnosis.run import diagnose
+from suspension_twin.drive.rig import RigRecord, write_rig
+from suspension_twin.inference.runs import observe_runs, rig_run
+from suspension_twin.models.parameters import lanes, pack
+from suspension_twin.models.simulate import simulate_lanes
+from suspension_twin.vehicle.twin import EffectSpec, load_twin, save_twin
 
 
 @pytest.fixture(scope="module")
@@ -72,3 +80,55 @@ def test_runs_of_one_program_share_an_excitation(repository: Path, tmp_path: Pat
     assert repeat.excitation is first.excitation and other.excitation is not first.excitation
     assert [first.name, repeat.name] == ["drops", "drops_2"]
     assert abs(float(first.position[0]) - float(other.position[0])) > 1e3 and first.rate == 125.0
+
+
+@pytest.mark.long
+def test_a_clock_that_has_an_offset_in_the_twin_changes_again(repository: Path, tmp_path: Path) -> None:
+    """10 ms in the twin file and on the reference, 35 ms since: the effect of the file is named with its new size, in
+    place of the old one."""
+    corner = load_twin(repository / "config" / "twins" / "quarter_car.yaml")
+    clock = [EffectSpec(id="time_offset", parameters={"offset": offset}) for offset in (0.010, 0.035)]
+    before, after = (corner.model_copy(update={"effects": (one,)}) for one in clock)
+    t, rng = np.arange(0.0, 14.0, 0.005), np.random.default_rng(5)
+    road = 0.02 * sosfiltfilt(butter(2, 6.0, fs=200.0, output="sos"), rng.standard_normal(t.size))
+    save_twin(before, tmp_path / "twin.yaml")
+    paths = []
+    for name, twin in (("before", before), ("after", after)):
+        response = simulate_lanes(twin, pack(twin)[:, None], rig_run(t, road))
+        columns = {n: response.channel(n)[:, 0] for n in ("body_acceleration", "suspension_deflection")}
+        noisy = {n: v + 0.01 * np.std(v) * rng.standard_normal(t.size) for n, v in columns.items()}
+        write_rig(RigRecord(name, t, {"road_displacement": road, **noisy}), tmp_path / f"{name}.csv")
+        paths.append(str(tmp_path / f"{name}.csv"))
+    request = DiagnosisRequest(
+        str(tmp_path / "twin.yaml"), (paths[1],), (paths[0],), effects=("time_offset", "sensor_scale")
+    )
+    result = diagnose(request)
+    assert result.document["combination"] == ["time_offset"]
+    cause = result.document["causes"][0]
+    assert cause["parameters"]["offset"] == pytest.approx(0.035, abs=0.003) and cause["held"] == {
+        "offset": 0.01
+    }
+    assert "(in the twin file: offset 10 ms)" in result.document["message"]
+    assert [e.id for e in result.twin.effects] == ["time_offset"]
+    assert result.twin.effects[0].parameters["offset"] == pytest.approx(0.035, abs=0.003)
+
+
+def test_what_is_offered_where_the_wheel_is_given_acts(repository: Path) -> None:
+    """Effects of what is above the wheel, of the sensor and of its clock: each changes what a corner does."""
+    corner = load_twin(repository / "config" / "twins" / "quarter_car.yaml")
+    above, t = corner.with_changes({"excitation": "wheel"}), np.arange(0.0, 2.0, 0.005)
+    offered = library(above, True)
+    assert {"payload", "spring_sag", "worn_dampers", "sensor_scale", "time_offset"} <= set(offered)
+    assert set(offered) < set(library(corner, True)) and "strut_friction" not in offered
+    run = rig_run(t, 0.03 * np.sin(60.0 * t**1.5))
+    plain = simulate_lanes(above, pack(above)[:, None], run).signals[:, 0, 0]
+    for name, (first, *_) in offered.items():
+        if name in (
+            "spring_sag",
+            "sensor_clipping",
+        ):  # of a standing height, and of a range that is not reached
+            continue
+        twin, values = first.twin(above), first.values(first.starts(2, 1))
+        keys, rows = first.on_drive(0)
+        moved = simulate_lanes(twin, lanes(twin, keys, values[rows].T), run).signals[:, 0]
+        assert np.std(moved - plain[:, None], axis=0).max() > 1e-3 * np.std(plain), name

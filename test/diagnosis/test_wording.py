@@ -135,6 +135,8 @@ def test_what_is_open_is_said_with_all_chances():
         "force (64 %), something that is not in the library (22 %) and nothing is wrong (10 %)."
     )
     assert wording.message(found).endswith("nothing is wrong (10 %); 0.41 m/s² of the gap remain")
+    quiet = {**found, "gap_after": 0.0}
+    assert wording.message(quiet).endswith("; no more of the gap remains than the noise of the sensor")
 
 
 MOVED = {

@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 import importlib.util
-import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
+from urllib.parse import unquote
 
 import pytest
 
@@ -34,26 +35,55 @@ def make_docs() -> ModuleType:
     return module
 
 
-@pytest.mark.skipif(sys.version_info < (3, 11), reason="the libraries of the site go on from Python 3.11")
-def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
-    pytest.importorskip("mkdocs")
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)]
-    environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
-    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=300)
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the site, built without a warning; its notebook has a test of its own."""
+    pytest.importorskip("myst_nb")
+    pytest.importorskip("furo")
+    folder = tmp_path_factory.mktemp("site")
+    options = ["-q", "-W", "--keep-going", "-D", "nb_execution_mode=off", "-c", "docs", "."]
+    command = [sys.executable, "-m", "sphinx", *options, str(folder)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr[-3000:]
-    home, page = (
-        (tmp_path / "index.html").read_text("utf-8"),
-        (tmp_path / "diagnosis.html").read_text("utf-8"),
+    return folder
+
+
+@pytest.mark.long
+def test_the_site_is_built_without_a_warning(site: Path) -> None:
+    home, page, api = (
+        (site / name).read_text("utf-8") for name in ("index.html", "docs/diagnosis.html", "docs/api.html")
     )
     assert "suspension_twin_demo" in home
     assert page.count("<math") > 20
-    assert "arithmatex" not in page, "a formula is left as it was written"
+    assert "$" not in re.sub(r"<[^>]+>", "", page), "a formula is left as it was written"
+    assert 'id="suspension_twin.api.simulate"' in api
     for text in (home, page):
         outside = re.findall(r'(?:src|href)="(https?://[^"]+)"', text)
         assert not [link for link in outside if link.endswith((".js", ".css"))], "a page needs a network"
 
 
-@pytest.mark.parametrize("name", ["interfaces.md", "parameters.md", "effects.md"])
+@pytest.mark.long
+def test_no_link_of_the_site_is_broken(site: Path) -> None:
+    for page in site.rglob("*.html"):
+        for link in re.findall(r'(?:src|href)="([^"#?]+)', page.read_text("utf-8")):
+            if not re.match(r"[a-z]+:", link):
+                assert (page.parent / unquote(link)).exists(), f"{page.name}: {link}"
+
+
+@pytest.mark.long
+def test_the_search_works_from_a_folder(site: Path) -> None:
+    playwright = pytest.importorskip("playwright.sync_api")
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if chromium is None:
+        pytest.skip("no Chromium here: apt-get install chromium")
+    with playwright.sync_playwright() as play:
+        page = play.chromium.launch(executable_path=chromium, args=["--no-sandbox"]).new_page()
+        page.goto(f"{(site / 'search.html').as_uri()}?q=latency")
+        page.wait_for_selector("#search-results li")
+        assert page.locator("#search-results li").count() > 3
+
+
+@pytest.mark.parametrize("name", ["interfaces.md", "effects.md"])
 def test_generated_parts_are_up_to_date(name: str, make_docs: ModuleType) -> None:
     page = ROOT / "docs" / name
     assert make_docs.brought_up_to_date(page) == page.read_text(encoding="utf-8"), (

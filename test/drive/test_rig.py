@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from suspension_twin.cli.main import main
 from suspension_twin.drive.importing import import_rig
@@ -216,3 +217,56 @@ def test_a_wrong_mapping_of_a_rig_is_refused(tmp_path: Path, old: str, new: str,
     mapping = mapped(tmp_path, COLUMNS.replace(old, new))
     with pytest.raises(InputError, match=message):
         import_rig([tmp_path / "a_output.csv", tmp_path / "a_input.csv"], mapping)
+
+
+MAT_MAP = """
+name: bench
+rig:
+  file: "*.mat"
+  time: {column: log.time}
+  columns:
+    road_displacement: {column: plate, unit: mm}
+    body_displacement: {column: log.heights.1, unit: m, sign: -1}
+    actuator_force: {column: force.signals.values, unit: kN, time: {column: force.time}}
+"""
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_a_mat_file_is_mapped_by_the_names_of_its_variables(tmp_path: Path, compressed: bool) -> None:
+    """Vectors, columns of a matrix, fields of structs as Simulink writes them, each at stamps of its own."""
+    late = T[::2] + 0.001
+    content = {
+        "plate": 1e3 * ROAD,
+        "log": {"time": T, "heights": np.c_[ROAD, -BODY, BODY]},
+        "force": {"time": late, "signals": {"values": late, "label": "F"}},
+        "comment": "a rig",
+    }
+    savemat(tmp_path / "bench.mat", content, do_compression=compressed)
+    (tmp_path / "map.yaml").write_text(MAT_MAP)
+    record = import_rig([tmp_path / "bench.mat"], tmp_path / "map.yaml")
+    t = record.t + T[T >= 0.001][0]
+    np.testing.assert_allclose(record.columns["body_displacement"], np.interp(t, T, BODY), atol=1e-6)
+    np.testing.assert_allclose(record.columns["road_displacement"], np.interp(t, T, ROAD), atol=1e-6)
+    np.testing.assert_allclose(record.columns["actuator_force"], 1e3 * t, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("column: plate", "column: plates", r"plates.*plate, log\.time, log\.heights\.0"),
+        ("column: plate,", "column: 3,", r"column 3: name one of plate, log\.time"),
+        (", time: {column: force.time}", "", r"actuator_force.*rows for .* stamps"),
+    ],
+)
+def test_a_wrong_name_of_a_variable_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
+    savemat(
+        tmp_path / "bench.mat",
+        {
+            "plate": ROAD,
+            "log": {"time": T, "heights": np.c_[ROAD, BODY]},
+            "force": {"time": T[::2], "signals": {"values": T[::2]}},
+        },
+    )
+    (tmp_path / "map.yaml").write_text(MAT_MAP.replace(old, new))
+    with pytest.raises(InputError, match=message):
+        import_rig([tmp_path / "bench.mat"], tmp_path / "map.yaml")

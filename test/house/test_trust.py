@@ -77,7 +77,7 @@ HARMLESS = {
     "addons/sources/iio.py": ("",),  # devices of the kernel
     "compiled.py": ("file.read_",),  # sources of the package
     "drive/foreign_files.py": ("self._archive.open(member)",),
-    "drive/importers/matlab_mobile.py": (
+    "drive/mat.py": (
         "h5py.File(path)",
         "matio.load_from_mat(path)",
     ),  # a copy, in a child

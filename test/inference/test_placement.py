@@ -121,3 +121,41 @@ def test_between_passes_over_one_bump_the_place_does_not_jump(repository: Path) 
     assert speed.max() < 20.0
     used = observed.trajectory.valid[1:] & observed.trajectory.valid[:-1]
     np.testing.assert_allclose(speed[used], observed.trajectory.speed[1:][used], atol=0.3)
+
+
+@pytest.mark.parametrize("left", [4.5, -5.5])
+def test_a_receiver_off_to_the_side_does_not_leave_the_road(twin: Twin, softer: Twin, left: float) -> None:
+    """A lane 6 m wide, positions 2.5 m off in each direction: within three deviations the car is on its road."""
+    from suspension_twin.calibration.setup import observe_checked
+
+    lane = bump_road(circular(0.9, 0.05), at=25.0, length=70.0, width=6.0)
+    drive = phone(driven(twin, lane), twin, 1.7)
+    assert twin.datum is not None
+    frame = LocalMap(twin.datum)
+    enu = frame.to_map(drive.fix.latitude, drive.fix.longitude, drive.fix.altitude)
+
+    def beside(metres: float, sigma: float) -> Drive:
+        moved = frame.to_geodetic(enu + np.array([0.0, metres, 0.0])).T
+        columns = dict(zip(("latitude", "longitude", "altitude"), moved, strict=True))
+        accuracy = np.full_like(drive.fix.sigma, sigma)
+        return replace(drive, fix=replace(drive.fix, **columns, sigma=accuracy))
+
+    observed = observe_checked(beside(left, 2.5), softer, lane)
+    found = place(observed, softer)
+    assert found is not None and found.spans == ()
+    assert found.moved(observed).inside.mean() > 0.9
+    for metres, sigma in ((left, 0.01), (20.0, 2.5)):
+        with pytest.raises(InputError, match="never drives on the road"):
+            observe_checked(beside(metres, sigma), softer, lane)
+
+
+def test_a_place_is_kept_where_the_sensor_is_read_otherwise(twin: Twin, softer: Twin) -> None:
+    from suspension_twin.inference.sensor_correction import SensorCorrection
+
+    observed = observe(phone(driven(twin), twin, 4.0), softer, BUMP)
+    found = place(observed, softer)
+    assert found is not None
+    kept = found.kept(observed)
+    np.testing.assert_allclose(kept.trajectory.x, found.moved(observed).trajectory.x, atol=1e-9)
+    read = kept.source.excitation(SensorCorrection(gain=1.001))
+    np.testing.assert_allclose(read.path.x, kept.trajectory.x, atol=0.05)

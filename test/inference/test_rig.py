@@ -4,14 +4,17 @@
 from __future__ import annotations
 
 import json
+import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from scipy.signal import butter, sosfiltfilt
+from scipy.signal import butter, sosfilt, sosfiltfilt
 
+from suspension_twin.arrays import Floats
 from suspension_twin.calibration.request import CalibrationRequest
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.cli.main import main
@@ -19,11 +22,15 @@ from suspension_twin.diagnosis.case import baseline, build, read_case
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.drive.rig import RigRecord, read_rig, write_rig
 from suspension_twin.errors import InputError, WorkError
+from suspension_twin.inference.fit import LinearisedFit
+from suspension_twin.inference.hypothesis import Hypothesis, combined
+from suspension_twin.inference.problem import Problem, whitener_of
 from suspension_twin.inference.runs import observe_rig, observe_runs, repeats, rig_run, simulate_rig
 from suspension_twin.models.parameters import pack
 from suspension_twin.models.registry import model_of
 from suspension_twin.models.simulate import simulate_lanes, simulate_twin
-from suspension_twin.vehicle.twin import Twin, load_twin, save_twin
+from suspension_twin.models.types import RepeatedRun
+from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin, save_twin
 
 
 @pytest.fixture(scope="module")
@@ -154,6 +161,62 @@ def test_displacements_are_compared_as_the_accelerations_that_they_hold(corner: 
     assert "suspension_deflection" in derived.measured
 
 
+@pytest.mark.parametrize("given", ["wheel_displacement", "wheel_acceleration"])
+def test_a_measured_wheel_drives_what_is_above_it(corner: Twin, tmp_path: Path, given: str) -> None:
+    """The same body as on the road that moved the wheel, whatever is below the suspension. What an accelerometer at the
+    wheel shows begins with a transient of its high-pass."""
+    record = displaced(corner, 400.0, seconds=8.0)
+    wheel = {
+        k: v for k, v in record.columns.items() if k in (given, "body_acceleration", "suspension_deflection")
+    }
+    deflection = record.columns["wheel_displacement"] - record.columns["body_displacement"]
+    run = replace(record, columns={**wheel, "suspension_deflection": deflection})
+    above = corner.with_changes({"excitation": "wheel", "vehicle.tyre.vertical_stiffness": 1e5})
+    path = written(run, tmp_path / "run.csv")
+    result = simulate_rig(read_rig(path), above)
+    assert list(result.measured) == ["body_acceleration", "suspension_deflection"]
+    for name, rms in result.gap.channels.items():
+        assert rms < (0.02 if given == "wheel_displacement" else 0.05) * np.std(result.measured[name]), name
+    soft = simulate_rig(run, above.with_changes({"vehicle.sprung_mass": 500.0})).gap.channels
+    assert soft["body_acceleration"] > 3.0 * result.gap.channels["body_acceleration"]
+    (observed,) = observe_runs(above, [path])
+    assert set(observed.measured) == set(result.measured)
+    with pytest.raises(InputError, match="run: has no road: the twin file has to say excitation: wheel"):
+        observe_runs(corner, [path])
+    stop = above.model_copy(
+        update={"effects": (EffectSpec(id="strut_friction", parameters={"front_force": 50.0}),)}
+    )
+    with pytest.raises(InputError, match="strut_friction does not act where the wheel's motion is given"):
+        simulate_rig(run, stop)
+
+
+@pytest.mark.parametrize(
+    ("name", "factor", "words"),
+    [
+        ("body_acceleration", 1.0 / 9.80665, "body_acceleration is 0.1 times what the displacements"),
+        ("body_acceleration", -1.0, "body_acceleration is -1 times what the displacements"),
+        ("wheel_acceleration", 9.80665, "wheel_acceleration is 9.8 times what the displacements"),
+        ("wheel_acceleration", 1.15, ""),
+        ("suspension_deflection", 0.3048, "suspension_deflection is 0.3 times what the displacements"),
+        ("suspension_deflection", 1.0, ""),
+    ],
+)
+def test_a_unit_that_contradicts_another_column_is_said(
+    corner: Twin, tmp_path: Path, name: str, factor: float, words: str
+) -> None:
+    """Encoders of 5 µm beside the accelerometers; a gain that is off by 15 % is no unit."""
+    record, rng = displaced(corner, 500.0, seconds=6.0), np.random.default_rng(4)
+    columns = {
+        k: v + (5e-6 * rng.standard_normal(v.size) if k.endswith("displacement") else 0.0)
+        for k, v in record.columns.items()
+    }
+    columns["suspension_deflection"] = columns["wheel_displacement"] - columns["body_displacement"]
+    columns[name] = factor * columns[name]
+    (run,) = observe_runs(corner, [written(replace(record, columns=columns), tmp_path / "run.csv")])
+    said = [w for w in run.warnings if "what the displacements" in w]
+    assert len(said) == bool(words) and all(w.startswith(words) for w in said)
+
+
 def test_the_floor_of_displacements_is_not_that_of_white_noise(corner: Twin, drops: RigRecord) -> None:
     """Encoders of 2 µm: twice differentiated, their noise lies at high frequencies, where the low-pass removes it."""
     rng, record = np.random.default_rng(1), displaced(corner, 500.0)
@@ -213,7 +276,10 @@ def test_a_force_of_the_other_sign_is_reported(corner: Twin, tmp_path: Path) -> 
     for sign, count in ((1.0, 0), (-1.0, 1)):
         columns = {"road_displacement": road, "actuator_force": sign * force, "body_acceleration": body}
         (run,) = observe_runs(corner, [written(RigRecord("run", t, columns), tmp_path / f"{count}.csv")])
-        assert sum("actuator_force acts the other way round" in w for w in run.warnings) == count
+        said = [w for w in run.warnings if "actuator_force acts the other way round" in w]
+        assert len(said) == count and all("sign: -1 for actuator_force" in w for w in said)
+        shares = [float(v) for w in said for v in re.findall(r"(-?\d+) %", w)]
+        assert not said or shares[0] > max(90.0, shares[1] + 10.0)
 
 
 def test_a_reference_is_no_witness_of_itself(corner: Twin, drops: RigRecord, tmp_path: Path) -> None:
@@ -226,7 +292,102 @@ def test_a_reference_is_no_witness_of_itself(corner: Twin, drops: RigRecord, tmp
         request = DiagnosisRequest(str(twin), (paths[0],), tuple(before))
         case = read_case(request, lambda note: None, lambda: False)
         problem, _, _ = baseline(case, build(case, lambda: False))
-        assert [e is not None for e in problem.likelihood.expected] == expected
+        assert [isinstance(p.excitation, RepeatedRun) for p in problem.data.parts] == expected
+        assert not any(e is not None for e in problem.likelihood.expected)
+
+
+_REPEATED = np.arange(0.0, 12.0, 0.005)
+
+
+def smooth(seed: int, cutoff: float) -> Floats:
+    """A random signal of unit rms below ``cutoff`` Hz on the stamps of the repeats."""
+    found = sosfiltfilt(
+        butter(2, cutoff, fs=200.0, output="sos"), np.random.default_rng(seed).standard_normal(_REPEATED.size)
+    )
+    return np.asarray(found / np.std(found))
+
+
+def after_repeats(
+    corner: Twin, folder: Path, read: Callable[[int, Floats], Floats]
+) -> tuple[Problem, LinearisedFit]:
+    """The baseline of the first of three runs of one program with the others as references; ``read`` makes of the
+    number of a run and of the corner's body acceleration what was measured."""
+    road = 0.01 * smooth(0, 8.0)
+    response = simulate_lanes(corner, pack(corner)[:, None], rig_run(_REPEATED, road))
+    body, paths = response.channel("body_acceleration")[:, 0], []
+    for number in range(3):
+        columns = {"road_displacement": road, "body_acceleration": read(number, body)}
+        paths.append(written(RigRecord("run", _REPEATED, columns), folder / f"{number}.csv"))
+    save_twin(corner, folder / "twin.yaml")
+    request = DiagnosisRequest(str(folder / "twin.yaml"), (paths[0],), tuple(paths[1:]))
+    case = read_case(request, lambda note: None, lambda: False)
+    problem, base, _ = baseline(case, build(case, lambda: False))
+    return problem, base
+
+
+def test_what_repeats_differ_by_is_noise_of_a_change(corner: Twin, tmp_path: Path) -> None:
+    """A rig that repeats to 7 % under a twin that misses nothing: the run after the references differs from them as
+    they do from each other, and what no unknown changes is simulated once."""
+    noise = 0.002 * np.random.default_rng(9).standard_normal((3, _REPEATED.size))
+    problem, base = after_repeats(
+        corner, tmp_path, lambda i, body: body + 0.07 * np.std(body) * smooth(1 + i, 20.0) + noise[i]
+    )
+    independent, shown = problem.measured.independent, whitener_of(problem).drive == 0
+    squares = base.at.residual[shown] ** 2 / independent
+    assert 0.3 < np.mean(squares) < 1.5
+    assert problem.d == 0 and problem.likelihood.still
+    moving = replace(problem, likelihood=replace(problem.likelihood, still=()))
+    unknowns = np.zeros((problem.shared, 2))
+    for one, other in zip(problem.signals(unknowns)[0], moving.signals(unknowns)[0], strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("latency", [0.0, 0.02])
+def test_what_a_reference_leaves_passes_the_sensor_of_the_run_after_it(
+    corner: Twin, tmp_path: Path, latency: float
+) -> None:
+    """A resonance that the twin has not, under a low-pass of 6 Hz and a gain that came since: with both in the twin
+    nothing is left of it, nor is anything of an unchanged run; the twin's own latency is not counted twice."""
+    cutoff, gain = 6.0, 1.2
+    corner = corner.with_changes({"imu.latency": latency})
+    low = butter(2, cutoff, fs=200.0, output="sos")
+
+    def read(number: int, body: Floats) -> Floats:
+        seen = body + 0.5 * np.std(body) * smooth(5, 18.0)
+        seen = np.asarray(gain * sosfilt(low, seen)) if number == 0 else seen
+        return seen + 0.002 * np.random.default_rng(number).standard_normal(body.size)
+
+    problem, _ = after_repeats(corner, tmp_path, read)
+    sensor = (("sensor_bandwidth", {"cutoff": cutoff}), ("sensor_scale", {"scale": gain - 1.0}))
+    parts = [Hypothesis((name,), model="quarter_car") for name, _ in sensor]
+    sizes = [one.at(EffectSpec(id=name, parameters=p)) for one, (name, p) in zip(parts, sensor, strict=True)]
+    changed = problem.having(combined(*parts))
+    at = np.concatenate([np.zeros(problem.shared), *sizes])
+    own = slice(0, problem.data.rows[0].size)
+    measured = problem.measured.values[own, 0]
+    left = np.std(changed.compared(at[:, None])[own, 0, 0] - measured)
+    assert left < 0.1 * np.std(measured)
+    reference = slice(own.stop, own.stop + problem.data.rows[1].size)
+    measured = problem.measured.values[reference, 0]
+    left = np.std(problem.compared(np.zeros((problem.shared, 1)))[reference, 0, 0] - measured)
+    assert left < 0.05 * np.std(measured)
+
+
+def test_one_set_of_transducers_has_one_noise(corner: Twin, tmp_path: Path) -> None:
+    """Motion counts as noise in a floor: the least of a rig's runs is theirs, that of a louder one as well."""
+    record = displaced(corner, 200.0, seconds=8.0)
+    shaken = record.columns["wheel_acceleration"] * 0.05 * np.sin(2 * np.pi * 60.0 * record.t)
+    loud = {**record.columns, "body_acceleration": record.columns["body_acceleration"] + shaken}
+    runs = observe_runs(
+        corner,
+        [
+            written(replace(record, columns=c), tmp_path / f"{i}.csv")
+            for i, c in enumerate((record.columns, loud))
+        ],
+    )
+    assert runs[0].noise_rms == runs[1].noise_rms
+    alone = observe_rig(record, ["body_acceleration"])
+    assert runs[1].noise_rms["body_acceleration"] <= alone.noise_rms["body_acceleration"]
 
 
 def test_a_bench_of_two_plates_is_calibrated_by_default(corner: Twin, tmp_path: Path) -> None:

@@ -106,7 +106,7 @@ def test_slow_accelerations_are_the_paths_and_quick_ones_the_imus():
     sensed = [BodyAcceleration((a + 0.3, -a, 0.0)) for a in slow + quick]
     found = accelerations(sensed, zip(slow, -slow, strict=True))
     late = t > 5.0
-    delayed = slow + np.interp(t - FilterSpec(2, 3.0).delay(100.0), t, quick)  # of the bandwidth
+    delayed = slow + np.interp(t - FilterSpec(2, 2.5).delay(100.0), t, quick)  # of the bandwidth
     assert np.std(found[late, 0] - delayed[late]) < 0.13
     assert np.abs(found[:, 0] + found[:, 1])[late].max() < 0.02  # the bias is gone
     assert np.std((found[:, 0] - slow)[late]) == pytest.approx(np.std(quick[late]), rel=0.1)

@@ -94,6 +94,33 @@ def test_while_it_works_the_node_answers_refuses_a_second_goal_and_cancels_at_on
     assert client.result(client.send(goal))[0] == GoalStatus.STATUS_SUCCEEDED
 
 
+def test_goals_wait_for_their_turn_where_the_node_says_so(bench, goal):
+    node = bench.make(
+        CalibratorNode, {"calibrate": search_until_stopped}, waiting_goals=2, cancel_patience=60.0
+    )
+    clients = [Client(bench, Calibrate, "calibrate") for _ in range(4)]
+    first, second, third = (client.send(goal) for client in clients[:3])
+    assert first.accepted and second.accepted and third.accepted and not clients[3].send(goal).accepted
+    assert "a goal of calibrate is running and 2 wait" in worst(node)[1]
+    bench.until(lambda: [f.stage for f in clients[1].feedback + clients[2].feedback] == ["waiting"] * 2)
+    second.cancel_goal_async()
+    status, result = clients[1].result(second)
+    assert status == GoalStatus.STATUS_CANCELED and result.message == "cancelled while it waited"
+    bench.until(lambda: any(f.stage == "search" for f in clients[0].feedback))
+    node.works["calibrate"] = five_generations
+    goal.overwrite = True
+    fourth = clients[3].send(goal)  # in the place that has become free
+    first.cancel_goal_async()
+    assert clients[0].result(first)[0] == GoalStatus.STATUS_CANCELED
+    status, result = clients[2].result(third)
+    assert (
+        status == GoalStatus.STATUS_ABORTED
+        and "not overwritten, unless the goal says overwrite" in result.message
+    )
+    assert clients[3].result(fourth)[0] == GoalStatus.STATUS_SUCCEEDED
+    assert node.health.values["state"] == "idle" and not node._waiting
+
+
 def test_a_goal_waits_until_its_client_can_hear_the_answer(bench, goal, monkeypatch):
     node = bench.make(CalibratorNode, {"calibrate": five_generations})
     client = Client(bench, Calibrate, "calibrate")
@@ -135,7 +162,7 @@ def test_work_that_fails_is_told_in_a_line_and_the_next_goal_is_taken(bench, goa
     client = Client(bench, Calibrate, "calibrate")
     for work, words in (
         (cannot, "bumpy: no GPS"),
-        (breaks, "ZeroDivisionError: inside"),
+        (breaks, "unexpected error, ZeroDivisionError"),  # the rest stands in the log of the node
         (dies, "worker process ended (exit status 3)"),
     ):
         node.works["calibrate"] = work
@@ -229,6 +256,15 @@ def test_a_goal_reads_and_writes_in_the_folders_of_the_node_alone(bench, goal, t
     assert status == GoalStatus.STATUS_ABORTED and words in result.message
     assert "hash" not in result.message and "root" not in result.message.replace(str(tmp_path), "")
     assert before == {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+
+
+def test_what_is_no_result_is_replaced_where_the_goal_says_so(bench, goal):
+    bench.make(CalibratorNode, {"calibrate": five_generations})
+    client = Client(bench, Calibrate, "calibrate")
+    Path(goal.output).write_text("mine")
+    assert client.result(client.send(goal))[0] == GoalStatus.STATUS_ABORTED
+    goal.overwrite = True
+    assert client.result(client.send(goal))[0] == GoalStatus.STATUS_SUCCEEDED
 
 
 def test_a_calibration_without_a_name_takes_one_that_is_free(tmp_path, goal, twin_path):

@@ -16,6 +16,7 @@ from nodes_bench import Client, PlainPage, worst
 from stand_ins import cannot, five_generations, judge_until_stopped, judged
 
 from suspension_twin.diagnosis.request import DiagnosisProgress, DiagnosisResult
+from suspension_twin.errors import InputError
 from suspension_twin.nodes.calibrator import CalibratorNode
 from suspension_twin.nodes.jobs import diagnosis_job, run_diagnosis
 from suspension_twin.vehicle.twin import load_twin
@@ -112,6 +113,15 @@ def test_the_nodes_twin_and_a_folder_beside_the_bag_are_the_defaults(goal, twin_
         job.request.twin == str(twin_path) and job.request.bags == (str(recorded),) and job.request.seed == 7
     )
     assert job.output == str(recorded.parent / "bumpy_diagnosis") and job.threads == 2
+
+
+def test_a_folder_with_something_else_is_written_into_where_the_goal_says_so(goal, twin_path):
+    (folder := Path(goal.output)).mkdir()
+    (folder / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match="not overwritten, unless the goal says overwrite"):
+        diagnosis_job(goal, str(twin_path), 0)
+    goal.overwrite = True
+    assert diagnosis_job(goal, str(twin_path), 0).output == goal.output
 
 
 def test_the_work_hands_on_the_stages_and_leaves_the_three_files(goal, twin_path, tmp_path, monkeypatch):

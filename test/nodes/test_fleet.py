@@ -149,11 +149,15 @@ def test_the_page_gets_numbers_that_json_can_say():
     found = rows(
         {
             "a": condition(gap=gap(math.nan)),
-            "b": condition(gap=gap(0.2), complaints=["late"], rates={"imu": 99.0}),
+            "b": condition(gap=gap(0.2, 3.1), complaints=["late"], rates={"imu": 99.0}),
         }
     )
-    assert found["a"] == {"rate": 0.0, "gap": None, "normalised": None, "text": "", "failing": False}
-    assert (found["b"]["rate"], found["b"]["gap"], found["b"]["text"]) == (99.0, 0.2, "late")
+    assert found["a"] == {"rate": 0.0, "gap": "", "text": "", "failing": False}
+    assert (found["b"]["rate"], found["b"]["gap"], found["b"]["text"]) == (
+        99.0,
+        "0.20 m/s² (3.1 × noise)",
+        "late",
+    )
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -38,6 +39,16 @@ def test_the_file_holds_every_parameter_with_its_default(path, name):
         assert given[parameter] == values[parameter], parameter
         assert type(given[parameter]) is type(values[parameter]), parameter
     assert set(sections[f"/**/{name}"]) <= set(own)
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_the_file_says_of_each_what_the_node_says(path, name):
+    """The meaning of a parameter, as ``ros2 param describe`` shows it, is the comment above it."""
+    comments = re.sub(r"\s+#?\s*", " ", path.read_text(encoding="utf-8"))
+    kind = KINDS[name]
+    for parameter in (*kind.common, *kind.parameters):
+        if parameter.name not in ("twin", "map_frame", "base_frame"):
+            assert parameter.text in comments, parameter.name
 
 
 @pytest.mark.parametrize("namespace", ["", "car"])

@@ -70,7 +70,7 @@ def test_it_says_what_the_model_says(bench, twin_path, tmp_path):
     rpy = (0.02, -0.05, 0.3)
     twin = load_twin(twin_path).with_changes({"imu.rpy": rpy})
     save_twin(twin, tmp_path / "twin.yaml")
-    node = bench.make(SuspensionModelNode, twin=str(tmp_path / "twin.yaml"))
+    node = bench.make(SuspensionModelNode, twin=str(tmp_path / "twin.yaml"), visual_rate=2000.0)
     acceleration = tap(node, "twin/vertical_acceleration", lambda m: (stamp_of(m), m.accel.linear.z))
     imu = tap(
         node,
@@ -128,7 +128,8 @@ def test_a_sensor_with_latency_reads_the_road_as_late_live_as_offline(bench, twi
 
 
 def test_over_the_wire_everything_of_the_contract_comes(bench, twin_path):
-    bench.make(SuspensionModelNode, namespace="car", twin=str(twin_path), gap__rate=50.0)
+    options = {"gap__rate": 50.0, "visual_rate": 2000.0}
+    bench.make(SuspensionModelNode, namespace="car", twin=str(twin_path), **options)
     kinds = {
         "/car/twin/vertical_acceleration": AccelStamped,
         "/car/twin/imu": Imu,
@@ -162,12 +163,13 @@ def test_over_the_wire_everything_of_the_contract_comes(bench, twin_path):
     assert heard["/car/twin/imu"][0].header.frame_id == "car/imu_link"
     bench.until(lambda: heard["/car/twin/gap"])
     gap = heard["/car/twin/gap"][-1]
+    assert gap.header.frame_id == "car/base_link" and stamp_of(gap) in stamps
     assert gap.rms > 0 and len(gap.band_rms) == len(gap.band_low_hz) == 3 and gap.samples > 100
     assert gap.measured_rms == 0.0
 
 
 def test_samples_and_poses_are_paired_by_stamp_whatever_comes_first(bench, twin_path):
-    node = bench.make(SuspensionModelNode, twin=str(twin_path))
+    node = bench.make(SuspensionModelNode, twin=str(twin_path), visual_rate=2000.0)
     stamps = tap(node, "twin/vertical_acceleration", stamp_of)
     values = tap(node, "twin/pose", lambda m: m.pose.position.x)
     for k in range(100):  # all samples first, and every tenth pose is lost
@@ -250,6 +252,14 @@ def test_visual_topics_are_thinned_and_the_acceleration_is_not(bench, twin_path)
     pose.clear()
     drive(node, 500, start=4000, rate=1000.0)
     assert len(pose) == 500
+
+
+def test_what_is_looked_at_comes_sixty_times_a_second_unless_told_otherwise(bench, twin_path):
+    node = bench.make(SuspensionModelNode, twin=str(twin_path))
+    pose = tap(node, "twin/pose", stamp_of)
+    drive(node, 1000)
+    assert len(pose) == pytest.approx(600, abs=40)
+    assert set(np.round(np.diff(pose[100:]) / 1e7)) <= {1, 2}, "every sample, or every other one"
 
 
 def test_no_twin_no_answer_until_one_is_loaded(bench, twin_path):
@@ -356,7 +366,7 @@ def test_a_pose_in_another_frame_is_told(bench, twin_path):
 
 def test_braking_pitches_the_twin_nose_down(bench, twin, tmp_path):
     save_twin(twin, tmp_path / "flat.yaml")
-    node = bench.make(SuspensionModelNode, twin=str(tmp_path / "flat.yaml"))
+    node = bench.make(SuspensionModelNode, twin=str(tmp_path / "flat.yaml"), visual_rate=2000.0)
     pitch = tap(node, "twin/pose", lambda m: 2.0 * math.asin(m.pose.orientation.y))
     x, speed = 0.0, 15.0
     for k in range(300):

@@ -142,16 +142,17 @@ def pause(page: Any) -> None:
     until(rests, "the pause")
 
 
-def lit(page: Any, canvas: str) -> int:
-    """Number of colours in a 2D picture: an empty one has one."""
+def lit(page: Any, picture: str) -> int:
+    """Number of colours in a 2D picture or chart: an empty one has one."""
     return int(
         page.evaluate(
             """(id) => {
-            const c = document.getElementById(id), d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;
+            const e = document.getElementById(id), c = e.querySelector("canvas") || e;
+            const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;
             const seen = new Set();
             for (let i = 0; i < d.length; i += 4) seen.add(d[i] * 65536 + d[i + 1] * 256 + d[i + 2]);
             return seen.size; }""",
-            canvas,
+            picture,
         )
     )
 
@@ -306,6 +307,12 @@ def test_it_fits_a_phone(browser, running):
         box = page.locator(button).bounding_box()
         assert box["x"] >= 0 and box["x"] + box["width"] <= 390 and box["height"] >= 36
         assert page.locator(button).is_visible()
+    loaded = "performance.getEntriesByType('resource').some((e) => e.name.includes('/scene.js'))"
+    assert page.is_hidden("#scene") and not page.evaluate(loaded), "3D that nobody has asked for"
+    page.click("#show3d")
+    until(lambda: page.evaluate(loaded) and page.is_visible("#scene"), "the picture in 3D")
+    page.click("#show3d")
+    assert page.is_hidden("#scene") and page.inner_text("#show3d") == "Show 3D"
     page.close()
 
 

@@ -42,7 +42,7 @@ def drive_on(model, seconds: float = 1.0, speed: float = 8.0, stamps=None) -> No
 def test_two_twins_share_one_tf(bench, twin_path):
     frames = bench.hear(TFMessage, "/tf")
     for name in ("car_1", "car_2"):
-        model = bench.make(SuspensionModelNode, namespace=name, twin=str(twin_path))
+        model = bench.make(SuspensionModelNode, namespace=name, twin=str(twin_path), visual_rate=2000.0)
         drive_on(model, 0.05)
     bench.until(lambda: len(frames) == 10, "transforms of both")
     pairs = {(t.header.frame_id, t.child_frame_id) for m in frames for t in m.transforms}
@@ -79,7 +79,7 @@ def test_a_viewer_that_comes_late_gets_sensors_frames_and_the_robot(bench, twin_
 
 def test_wheels_stay_on_the_road_while_the_body_moves(bench, twin_path, bumpy_road):
     """Put together, the transforms of body and wheel give a wheel that follows the ground by its tyre."""
-    model = bench.make(SuspensionModelNode, twin=str(twin_path))
+    model = bench.make(SuspensionModelNode, twin=str(twin_path), visual_rate=2000.0)
     frames = bench.hear(TFMessage, "/tf")
     drive_on(model, 4.0)
     bench.until(lambda: len(frames) == 400, "transforms")

@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from suspension_twin.addons.view.axes import to_unity, to_unreal
+from suspension_twin.cli.main import main
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.road import Road, curved_road, flat_road, grid_road, load_road
 from suspension_twin.road.mesh import road_mesh, write_mesh
@@ -155,10 +157,35 @@ def test_obj_tiles_number_only_their_own_vertices(tmp_path: Path) -> None:
     assert set().union(*blocks) == set(range(len(obj.vertices)))
 
 
+@pytest.mark.parametrize("up", ["y", "z"])
+@pytest.mark.parametrize("drive", ["bump_15kmh", "crg_road"])
+def test_the_road_of_a_drive_is_whole_where_an_engine_reads_it(
+    drive: str, up: str, repository: Path, tmp_path: Path
+) -> None:
+    """The file of the command read back into the axes of Unity or Unreal, which mirror one when they import it: under
+    every wheel of the drive lies the height that the twin drives on, and no two tiles gape."""
+    bag, path = repository / "bags" / drive, tmp_path / "road.obj"
+    command = ["road", "mesh", str(bag / "road.crg"), "--up", up, "--spacing", "0.25", "--out", str(path)]
+    assert main(command) == 0
+    road, obj = load_road(bag / "road.crg"), read_obj(path)
+    mirrored, convert = {"y": ([-1, 1, 1], to_unity), "z": ([1, -1, 1], to_unreal)}[up]
+    x, y = road.uv_to_xy(*obj.places.T)
+    level = (0.0, 0.0, 0.0, 1.0)
+    wanted = [convert(p, level)[0] for p in np.column_stack([x, y, road.heights(x, y)]).tolist()]
+    np.testing.assert_allclose(obj.vertices * mirrored, wanted, atol=2e-4)
+    # Of the edges, by the places of their ends, inner ones belong to two triangles and outer ones to one.
+    place = np.unique(np.round(obj.places, 3), axis=0, return_inverse=True)[1].ravel()[obj.faces]
+    edges = np.sort(np.concatenate([place[:, [i, (i + 1) % 3]] for i in range(3)]), axis=1)
+    _, count = np.unique(edges, axis=0, return_counts=True)
+    nu, nv = road_mesh(road, spacing=0.25).points.shape[:2]
+    assert set(count) == {1, 2} and (count == 1).sum() == 2 * (nu + nv - 2)
+    assert len(obj.objects) >= (road.u[-1] - road.u[0]) // 50.0
+
+
 def test_up_y_turns_the_road_and_does_not_mirror_it(winding: Road) -> None:
     z_up, y_up = road_mesh(winding), road_mesh(winding, up="y")
-    west_up_north = np.stack([-z_up.points[..., 0], z_up.points[..., 2], z_up.points[..., 1]], axis=-1)
-    np.testing.assert_array_equal(y_up.points, west_up_north)
+    north_up_east = np.stack([z_up.points[..., 1], z_up.points[..., 2], z_up.points[..., 0]], axis=-1)
+    np.testing.assert_array_equal(y_up.points, north_up_east)
     faces = y_up.faces(slice(None), slice(None))
     assert _facing_up(y_up.points.reshape(-1, 3)[faces], 1)
     assert (y_up.normals[..., 1] > 0.5).all()

@@ -195,3 +195,27 @@ def test_useless_fixes_are_left_out() -> None:
     assert none.t.size == none.east.size == none.north.size == 0
     assert not gnss_motion(drive()).known
     assert gnss_motion(drive(good.select(np.arange(4)))).t.size == 3
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 1000), st.sampled_from([3.0, 5.0, 10.0]))
+def test_altitudes_that_are_off_by_metres_are_no_slope(seed: int, sigma: float) -> None:
+    """A phone's altitude error changes by more within five seconds than roads of 15 km/h rise."""
+    s = np.arange(0.0, 70.0, 1.0)
+    draw = np.random.default_rng(seed).standard_normal(s.size)
+    error = np.zeros_like(s)
+    for k in range(1, s.size):
+        error[k] = 0.983 * error[k - 1] + 0.18 * sigma * draw[k]
+    motion = ground(s, np.full_like(s, 15.0 / 3.6))
+    columns = {
+        "latitude": 0.0 * s,
+        "longitude": 0.0 * s,
+        "altitude": error,
+        "status": np.zeros(s.size, np.int8),
+    }
+    accuracy = np.tile([sigma, sigma, sigma], (s.size, 1))
+    assert motion.slope(T0 + s, FixData(T0 + s, **columns, sigma=accuracy)) is None
+    # of an accurate receiver they are
+    exact = FixData(T0 + s, **{**columns, "altitude": 0.03 * 15.0 / 3.6 * s}, sigma=0.004 * accuracy)
+    found = motion.slope(T0 + s, exact)
+    assert found is not None and found == pytest.approx(np.full(s.size, math.atan(0.03)), abs=1e-6)

@@ -118,3 +118,73 @@ def test_the_fixtures_of_pytest(tmp_path: Path, repository: Path) -> None:
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert "3 passed" in done.stdout
+
+
+#: A package of somebody else's: a node that warns of a body that heaves, and the test of it beside a twin.
+FOREIGN = {
+    "pyproject.toml": """
+[build-system]
+requires = ["setuptools"]
+build-backend = "setuptools.build_meta"
+
+[project]
+name = "heave-watch"
+version = "0.1"
+""",
+    "heave_watch/__init__.py": """
+from geometry_msgs.msg import PoseStamped
+from rclpy.node import Node
+from std_msgs.msg import Float64
+
+
+class HeaveWatch(Node):
+    def __init__(self, **options):
+        super().__init__("heave_watch", **options)
+        self.out = self.create_publisher(Float64, "heave", 10_000)
+        self.create_subscription(PoseStamped, "twin/pose", self.take, 10_000)
+
+    def take(self, message):
+        self.out.publish(Float64(data=message.pose.position.z))
+""",
+    "test_heave_watch.py": f"""
+import heave_watch
+import numpy as np
+
+from suspension_twin.drive.read import read_drive
+from suspension_twin.drive.types import cut
+
+def test_it_repeats_the_heave_of_the_twin(running_twin):
+    assert "target" in heave_watch.__file__, "the one that was installed"
+    nodes = running_twin({str(TWIN)!r}, parameters={{"visual_rate": 50.0}})
+    nodes.add(heave_watch.HeaveWatch(context=nodes.context))
+    drive = read_drive({str(BAG)!r})
+    out = nodes.replay(cut(drive, drive.imu.t[0], drive.imu.t[0] + 6.0), ["twin/pose", "/heave"])
+    heave = out["/heave"]["data"]
+    assert len(heave) > 0.9 * len(out["twin/pose"]) > 200
+    assert np.isin(heave, out["twin/pose"]["pose.position.z"]).all() and np.std(heave) > 1e-3
+""",
+}
+
+
+@pytest.mark.long
+def test_a_package_of_somebody_elses_tests_its_node_beside_a_twin(tmp_path: Path, repository: Path) -> None:
+    """Built, installed into a folder and tested by pytest, as its owner would."""
+    source, target = tmp_path / "source", tmp_path / "target"
+    for name, text in FOREIGN.items():
+        (source / name).parent.mkdir(parents=True, exist_ok=True)
+        (source / name).write_text(text, encoding="utf-8")
+    test = (source / "test_heave_watch.py").rename(tmp_path / "test_heave_watch.py")
+    offline = ["--quiet", "--no-index", "--no-build-isolation", "--no-deps", "--target", str(target)]
+    plugin = ["-q", "-p", "suspension_twin.testing.plugin", "-p", "no:cacheprovider"]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (target, repository)))}
+    for command in (["pip", "install", *offline, str(source)], ["pytest", *plugin, str(test)]):
+        done = subprocess.run(
+            [sys.executable, "-m", *command],
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=120,
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+    assert "1 passed" in done.stdout and (target / "heave_watch-0.1.dist-info").is_dir()

@@ -113,6 +113,9 @@ def command(
                 write_result(result, out)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"the drive is in {record}: {later}") from None
+    except (InputError, WorkError) as error:
+        again = f"{passes} passes of the bump again, at 10 to 30 km/h, each at another speed"
+        raise WorkError(f"{error}; drive next: {again}, or on what was recorded: {later}") from error
     console = output()
     for warning in result.warnings:
         console.print(warning, style="yellow")
@@ -120,6 +123,11 @@ def command(
     console.print(f"Standstill: {guide.standstill}")
     for number, one in enumerate(guide.passes, 1):
         console.print(f"Pass {number}: {one}")
+    beyond = sum("damper" in e.key and e.status != "identified" for e in result.estimates)
+    if beyond:
+        console.print(
+            f"Drive next: faster passes, up to 30 km/h; {beyond} points of the dampers are not identified yet"
+        )
     before, after = (getattr(result.drives[0], name).rms for name in ("gap_before", "gap_after"))
     console.print(f"Calibrated: gap {before:.3f} m/s² before, {after:.3f} after", style="bold")
     console.print(f"Written to {record}, {out} and {details_path(out)}")

@@ -114,8 +114,7 @@ def rows(conditions: Mapping[str, Condition]) -> dict[str, TwinRow]:
     for name, c in conditions.items():
         found[name] = {
             "rate": _finite(c.rates["imu"]) or 0.0,
-            "gap": None if c.gap is None else _finite(c.gap.rms),
-            "normalised": None if c.gap is None else _finite(c.gap.normalised),
+            "gap": "" if c.gap is None or math.isnan(c.gap.rms) else str(c.gap),
             "text": printable(c.complaints[0]) if c.complaints else "",
             "failing": c.failing,
         }

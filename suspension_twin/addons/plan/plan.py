@@ -63,9 +63,9 @@ _SIZES: Final = (0.1, 0.2, 0.45, 1.0, REACH)
 _LOG_SIZES: Final = np.arange(-REACH, REACH)
 #: e-folds of size by which a change of the set-up has to be better than another to be named instead.
 _BETTER: Final = 0.1
-#: Frequencies of a resonance, in standard deviations from typical; that many neighbours make one rival.
+#: Frequencies of a resonance, in standard deviations from typical.
 _TONES: Final = np.linspace(-1.5, 1.5, 25)
-_TOGETHER: Final = 3
+_TOGETHER: Final = 3  # neighbours that make one rival
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,22 +1,35 @@
 // SPDX-License-Identifier: Apache-2.0
 // The page: takes frames from the server, keeps the last seconds, and draws them sixty times a second.
 
-import { drawMap, drawSignals, drawSpectrum, readColours } from "./charts.js";
-import { Scene } from "./scene.js";
+import { Signals, Spectrum, palette, readColours } from "./charts.js";
+import { drawMap } from "./map.js";
 
 const $ = (id) => document.getElementById(id);
 const KEPT = 12, DELAY = 0.12; // s of signals; s behind the newest sample, so that there is one to move towards
 const state = { measured: [], simulated: [], pose: [], joints: [], path: [], events: [], scene: null, spectrum: null, gap: null };
-const colours = readColours();
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", readColours);
+readColours();
+const signals = new Signals($("chart")), spectrum = new Spectrum($("spectrum"));
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { readColours(); spectrum.redraw(); });
 
+// The picture in 3D is loaded where it is asked for: by a wide window, or by its button.
 let scene = null;
-try {
-  scene = new Scene($("scene"), colours);
-} catch (error) {
-  $("no3d").hidden = false;
-  $("scene").hidden = true;
+async function show3d(on) {
+  $("scene").hidden = $("view3d").hidden = !on;
+  $("scene").parentElement.classList.toggle("flat", !on);
+  $("show3d").textContent = on ? "Hide 3D" : "Show 3D";
+  $("no3d").hidden = true;
+  if (!on || scene) return;
+  try {
+    const { Scene } = await import("./scene.js");
+    scene = new Scene($("scene"), palette);
+    if (state.scene) scene.load(state.scene);
+  } catch (error) {
+    await show3d(false);
+    $("no3d").hidden = false;
+  }
 }
+$("show3d").addEventListener("click", () => show3d($("scene").hidden));
+show3d(matchMedia("(min-width: 901px)").matches);
 
 // -- frames ----------------------------------------------------------------------------------------
 
@@ -61,13 +74,13 @@ function take(frame) {
     while (cut < rows.length && rows[cut][0] < oldest) cut++;
     if (cut > 200) rows.splice(0, cut);
   }
+  if (frame.measured || frame.simulated || frame.reset) signalsDue = true;
   if (frame.path) {
     state.path.push(...frame.path);
     if (state.path.length > 6500) state.path.splice(0, 500);
-    mapDue = true;
   }
   if (frame.events) state.events = frame.events;
-  if (frame.spectrum) { state.spectrum = frame.spectrum; spectrumDue = true; }
+  if (frame.spectrum) { state.spectrum = frame.spectrum; spectrumDue = true; $("nospectrum").hidden = true; }
   if (frame.gap) showGap(frame.gap);
   if (frame.driven !== undefined) $("driven").textContent = frame.driven === null ? "–" : frame.driven.toFixed(3);
   if (frame.motion) showMotion(frame.motion);
@@ -82,7 +95,7 @@ function take(frame) {
 
 // -- the time that is shown: behind the newest sample, and even although frames are not ---------------
 
-let latest = 0, mapDue = true, spectrumDue = true;
+let latest = 0, signalsDue = false, spectrumDue = false;
 const head = { t: NaN, rate: 1, wall: 0, seen: [] };
 function advance(wall) {
   const dt = Math.min((wall - head.wall) / 1000, 0.25);
@@ -136,17 +149,19 @@ function picture(wall) {
   if (pose && before) moved = (pose.p[0] - before.p[0]) * Math.cos(pose.yaw) + (pose.p[1] - before.p[1]) * Math.sin(pose.yaw);
   if (Math.abs(moved) > 5) moved = 0;
   before = pose;
-  if (scene && state.scene) scene.draw(pose, joints, moved);
-  drawSignals($("chart"), state.measured, state.simulated, state.events, Math.max(head.t || 0, 0));
+  if (scene && state.scene && !$("scene").hidden) scene.draw(pose, joints, moved);
+  if (signalsDue) signals.take(state.measured, state.simulated);
+  signalsDue = false;
+  signals.draw(Math.max(head.t || 0, 0), state.events);
   if (wall - texts < 100) return;
   texts = wall;
   $("clock").textContent = Math.max(head.t || 0, 0).toFixed(1);
   showTravel(joints);
   const [low, high] = gapLimits();
   drawMap($("map"), state.path, state.events, pose, low, high);
-  if (spectrumDue) { drawSpectrum($("spectrum"), state.spectrum); spectrumDue = false; }
+  if (spectrumDue && state.spectrum) spectrum.draw(state.spectrum);
+  spectrumDue = false;
 }
-addEventListener("resize", () => { spectrumDue = true; });
 
 // -- parts of the page -----------------------------------------------------------------------------
 
@@ -174,7 +189,8 @@ function showTravel(joints) {
   state.scene.wheels.forEach((wheel, i) => {
     const box = $("travel").children[i], d = (joints[i] - wheel.standing) * (wheel.kind === "prismatic" ? 1000 : 180 / Math.PI);
     if (!box || !Number.isFinite(d)) return;
-    box.querySelector("b").textContent = (d > 0 ? "+" : "") + d.toFixed(wheel.kind === "prismatic" ? 0 : 1);
+    const text = d.toFixed(wheel.kind === "prismatic" ? 0 : 1);
+    box.querySelector("b").textContent = +text === 0 ? "0" : d > 0 ? `+${text}` : text;
     const share = Math.min(Math.abs(d) / (wheel.kind === "prismatic" ? 80 : 25), 1) * 50, bar = box.querySelector("i");
     bar.style.left = `${d > 0 ? 50 : 50 - share}%`;
     bar.style.width = `${share}%`;

@@ -52,8 +52,7 @@ function draw(twins) {
   for (const twin of twins) {
     const { line, cells } = row(twin.name);
     cells[1].textContent = twin.rate ? `${twin.rate.toFixed(0)} Hz` : "–";
-    const times = twin.normalised == null ? "" : ` (${twin.normalised.toFixed(1)} ×)`;
-    cells[2].textContent = twin.gap == null ? "–" : `${twin.gap.toFixed(2)} m/s²${times}`;
+    cells[2].textContent = twin.gap || "–";
     cells[3].textContent = twin.text || (twin.rate ? "running" : "no samples yet");
     line.className = twin.failing ? "bad" : twin.text ? "warn" : "";
     line.hidden = Boolean(wanted) && !twin.name.toLowerCase().includes(wanted);

@@ -17,12 +17,11 @@ __all__ = ["FleetServer", "TwinRow"]
 
 
 class TwinRow(TypedDict, total=False):
-    """One twin on the page: rate in Hz, gap in m/s², gap over its noise floor, a complaint, whether it is an error."""
+    """One twin on the page: rate in Hz, its gap in words (empty: not known), a complaint, whether it is an error."""
 
     name: str
     rate: float
-    gap: float | None
-    normalised: float | None
+    gap: str
     text: str
     failing: bool
 

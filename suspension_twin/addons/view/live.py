@@ -323,6 +323,6 @@ def advice(sigma: float, on_road: bool) -> tuple[int, str]:
         )
     return 1, (
         f"Position known to {sigma:.1f} m only, as from a phone without RTK: a calibration finds the place of each "
-        "pass over a bump by what is felt, and needs three of them; on a road without bumps it cannot. Live, a bump "
-        "comes early or late."
+        "pass over a bump by what is felt. Two passes or more cost nothing against RTK, a single one a quarter of the "
+        "gap; on a road without bumps it cannot. Live, a bump comes early or late."
     )

@@ -59,7 +59,7 @@ _CONNECTIONS = 6 * _VIEWERS  # as many a browser opens to one host
 _PATIENCE = 6.0
 _BEAT = 1.0  # s after which an empty frame says that the program is still there (tolerance, by hand)
 _HERE = Path(__file__).parent
-_FILES = frozenset({"app.js", "charts.js", "fleet.js", "scene.js", "style.css"})
+_FILES = frozenset(path.name for path in _HERE.iterdir() if path.suffix in (".css", ".js"))
 _COOKIE = "suspension_twin"
 #: The environment variable by which a process hands the token of a page to that of its node.
 TOKEN_VARIABLE = "SUSPENSION_TWIN_VIEW_TOKEN"

@@ -11,13 +11,7 @@ have a time vector beside them or (n, 4) with the time first; and ``writetimetab
 
 from __future__ import annotations
 
-import math
 import re
-import struct
-import tempfile
-import warnings
-import zlib
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -26,11 +20,11 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.clocks import text_to_posix
 from suspension_twin.drive.foreign_files import RecordedFiles, read_table
+from suspension_twin.drive.mat import fields_of, of_mat, variables_of
 from suspension_twin.drive.streams import Series, Streams
 from suspension_twin.drive.types import FixData
-from suspension_twin.drive.unpack import Budget, within_limits
-from suspension_twin.errors import InputError, printable
-from suspension_twin.files import read_bytes
+from suspension_twin.drive.unpack import Budget
+from suspension_twin.errors import InputError
 
 __all__ = ["TITLE", "read", "recognises"]
 
@@ -45,11 +39,6 @@ _LOGS = {
 _TIMES = ("timestamp", "timestamps", "time", "t")
 _XYZ = ("x", "y", "z")
 _POSITION = ("latitude", "longitude", "altitude", "speed", "course", "hacc")
-
-_V73 = b"MATLAB 7.3"
-_COMPRESSED = 15
-_PIECE = 1 << 20
-_LARGEST = 2 << 30  # bytes of a file
 
 Columns = dict[str, object]
 
@@ -79,7 +68,7 @@ def read(source: RecordedFiles) -> Streams:
     streams = Streams(origin=TITLE)
     mat = _mat(source)
     if mat is not None:
-        logs = _logs_of_mat(source.read(mat), source.label(mat))
+        logs = of_mat(_logs_of_variables, source.read(mat), source.label(mat))
     else:
         logs = _logs_of_csv(source, streams)
     if "acceleration" in logs:
@@ -110,31 +99,10 @@ def _logs_of_csv(source: RecordedFiles, streams: Streams) -> dict[str, Columns]:
     return logs
 
 
-def _logs_of_mat(data: bytes, label: str) -> dict[str, Columns]:
-    if find_spec("matio") is None:
-        raise InputError(label, "a .mat file can be read with Python 3.11 and later alone")
-    budget = Budget(label, len(data))
-    with tempfile.NamedTemporaryFile(suffix=".mat") as file:
-        file.write(data)
-        file.flush()
-        return within_limits(
-            _logs_of_variables, file.name, budget, budget=budget, kind="a .mat file", module="matio"
-        )
-
-
 def _logs_of_variables(path: str, budget: Budget) -> dict[str, Columns]:
-    """The logs in a file, read by mat-io, which checks no size that the file declares."""
-    import matio
-
-    label, data = str(budget.source), read_bytes(path, _LARGEST)
-    if data.startswith(_V73):
-        _check_hdf5(path, budget)
-    else:
-        _check_compressed(data, budget)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of variables that it cannot read, which are not the logs
-        variables: dict[str, Any] = matio.load_from_mat(path)
-    named = {name.lower(): value for name, value in variables.items() if not name.startswith("__")}
+    """The logs in a file."""
+    label, variables = str(budget.source), variables_of(path, budget)
+    named = {name.lower(): value for name, value in variables.items()}
     for value in list(named.values()):  # readMobileSensorData gives one struct of all logs
         fields = _fields(value)
         if any(key in fields for key in _LOGS):
@@ -150,54 +118,9 @@ def _logs_of_variables(path: str, budget: Budget) -> dict[str, Columns]:
     return logs
 
 
-def _check_compressed(data: bytes, budget: Budget) -> None:
-    """Unpack the compressed variables of a file of version 5 within ``budget``, and forget them.
-
-    Format: "MAT-File Format", The MathWorks: 128 bytes, then elements of u32 type, u32 size and content.
-    """
-    order = ">" if data[126:128] == b"MI" else "<"
-    at = 128
-    while at + 8 <= len(data):
-        kind, size = struct.unpack_from(f"{order}II", data, at)
-        at += 8
-        if kind == _COMPRESSED:
-            stream, piece = zlib.decompressobj(), data[at : at + size]
-            while piece and not stream.eof:
-                budget.take(len(stream.decompress(piece, _PIECE)))
-                piece = stream.unconsumed_tail
-        at += size if kind == _COMPRESSED else -(-size // 8) * 8
-
-
-def _check_hdf5(path: str, budget: Budget) -> None:
-    """Count the bytes that a file of version 7.3 declares: a dataset may declare anything and store nothing.
-
-    Links that lead elsewhere by a name, within the file or out of it, and data in other files are refused: no program
-    of MathWorks writes them.
-    """
-    import h5py  # comes with mat-io
-
-    def elsewhere(name: str, link: object) -> str | None:
-        return None if isinstance(link, h5py.HardLink) else name
-
-    def count(name: str, item: object) -> None:
-        if isinstance(item, h5py.Dataset):
-            if item.external or item.is_virtual:
-                raise InputError(budget.source, "keeps its data in another file")
-            budget.take(math.prod(item.shape or ()) * item.dtype.itemsize)
-
-    with h5py.File(path) as file:
-        if name := file.visititems_links(elsewhere):
-            raise InputError(budget.source, printable(name[:80]), "is a link that leads elsewhere")
-        file.visititems(count)
-
-
 def _fields(value: Any) -> Columns:
-    """Fields of a struct or columns of a timetable, by lower-case name; empty for anything else."""
-    if hasattr(value, "columns") and hasattr(value, "index"):  # a timetable, as a pandas.DataFrame
-        columns = {str(name).lower(): value[name].to_numpy() for name in value.columns}
-        return {"timestamp": value.index.to_numpy(), **columns}
-    names = getattr(getattr(value, "dtype", None), "names", None)
-    return {name.lower(): value[name].ravel()[0] for name in names} if names and value.size == 1 else {}
+    """Fields of a struct or columns of a timetable, by lower-case name."""
+    return {name.lower(): field for name, field in fields_of(value).items()}
 
 
 def _columns(named: Columns, name: str, label: str) -> Columns:

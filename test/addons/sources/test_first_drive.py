@@ -22,7 +22,7 @@ from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive, FixData, ImuData, VelocityData
 from suspension_twin.errors import InputError
 from suspension_twin.road import bump_road, flat_road, half_sine
-from suspension_twin.vehicle.twin import Twin, load_twin
+from suspension_twin.vehicle.twin import Twin, load_twin, save_twin
 
 Part = TypeVar("Part", ImuData, FixData, VelocityData)
 
@@ -112,6 +112,22 @@ def test_from_a_phone_to_a_calibrated_twin(three_passes: Drive, repository: Path
     assert found.vehicle != load_twin(file).vehicle
     recorded = read_drive(tmp_path / "drive").imu.t[-1]
     assert recorded < three_passes.imu.t[-1] + 60.0, "it ends by itself, while the phone goes on"
+
+
+@pytest.mark.long
+def test_from_a_phone_alone_to_a_calibrated_twin(repository: Path, tmp_path: Path) -> None:
+    """Its own receiver is metres off: what that costs is said before the bump, and each pass is placed by feel."""
+    bags = repository / "bags"
+    given = load_twin(bags / "bump_15kmh" / "twin.yaml")
+    phone = load_twin(bags / "bump_phone" / "car.yaml")
+    save_twin(given.model_copy(update={"imu": phone.imu, "gps": phone.gps}), tmp_path / "car.yaml")
+    drive = driven_on(read_drive(bags / "bump_phone"), 120.0)
+    done = run(drive, tmp_path / "car.yaml", tmp_path, "--max-generations", "4")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.index("as from a phone without RTK") < done.stderr.index("Pass 1: 1")
+    assert "Pass 3: 1" in done.stderr
+    assert "placed on the road by what was felt" in done.stdout and "Drive next: faster passes" in done.stdout
+    assert load_twin(tmp_path / "calibrated.yaml").vehicle != given.vehicle
 
 
 def test_a_drive_that_ends_early_is_kept(three_passes: Drive, repository: Path, tmp_path: Path) -> None:

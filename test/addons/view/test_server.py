@@ -7,13 +7,16 @@ import asyncio
 import contextlib
 import json
 import random
+import re
 import socket
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 from aiohttp import ClientSession, WSServerHandshakeError
 
 from suspension_twin.addons.sources.common.server import Listener
+from suspension_twin.addons.view import server as server_module
 from suspension_twin.addons.view.live import LiveView
 from suspension_twin.addons.view.server import ACTIONS, Server, parse_action
 from suspension_twin.errors import InputError, WorkError
@@ -61,9 +64,13 @@ def test_the_page_and_all_it_refers_to_come_from_here(serve):
                 assert (
                     answer.status == 200 and "default-src 'self'" in answer.headers["Content-Security-Policy"]
                 )
-            for name in ("style.css", "app.js", "charts.js", "scene.js"):
+            folder = Path(server_module.__file__).parent
+            files = {file.name for file in (*folder.glob("*.js"), *folder.glob("*.css"))}
+            for name in re.findall(r'"static/([\w.]+)"', text):
+                assert name in files
+            for name in sorted(files):
                 async with session.get(server.address(f"static/{name}")) as answer:
-                    text += await answer.text()
+                    text += re.sub(r"^/\*!.*?\*/", "", await answer.text())  # whose it is
                     assert answer.status == 200
             async with session.get(server.address("road/-1/2")) as answer:
                 assert len(await answer.read()) == 4 * 41 * 41

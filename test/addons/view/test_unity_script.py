@@ -3,15 +3,16 @@
 
 from __future__ import annotations
 
-import re
 import shutil
 import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from suspension_twin.addons.view.axes import to_unity
+from suspension_twin.addons.view.frames import FramePoses
 
 MCS, MONO = shutil.which("mcs"), shutil.which("mono")
 pytestmark = pytest.mark.skipif(not (MCS and MONO), reason="no C# here: apt-get install mono-mcs")
@@ -23,10 +24,24 @@ using System.Collections.Generic;
 using System.Globalization;
 
 namespace UnityEngine {
-    public struct Vector3 { public float x, y, z; public Vector3(float a, float b, float c) { x = a; y = b; z = c; } }
+    public struct Vector3 {
+        public float x, y, z;
+        public Vector3(float a, float b, float c) { x = a; y = b; z = c; }
+        public static Vector3 LerpUnclamped(Vector3 a, Vector3 b, float k) {
+            return new Vector3(a.x + k * (b.x - a.x), a.y + k * (b.y - a.y), a.z + k * (b.z - a.z));
+        }
+    }
+    public static class Time { public static double timeAsDouble; }
     public struct Quaternion {
         public float x, y, z, w;
         public Quaternion(float a, float b, float c, float d) { x = a; y = b; z = c; w = d; }
+        public static Quaternion SlerpUnclamped(Quaternion a, Quaternion b, float k) {
+            double angle = Math.Acos(Math.Min(a.x * b.x + a.y * b.y + a.z * b.z + a.w * b.w, 1.0));
+            double p = angle < 1e-6 ? 1 - k : Math.Sin((1 - k) * angle) / Math.Sin(angle);
+            double q = angle < 1e-6 ? k : Math.Sin(k * angle) / Math.Sin(angle);
+            return new Quaternion((float)(p * a.x + q * b.x), (float)(p * a.y + q * b.y), (float)(p * a.z + q * b.z),
+                (float)(p * a.w + q * b.w));
+        }
     }
     public class Transform {
         public Vector3 localPosition { get; set; }
@@ -51,7 +66,14 @@ namespace RosMessageTypes.Geometry {
         public PointMsg position = new PointMsg();
         public QuaternionMsg orientation = new QuaternionMsg();
     }
-    public class PoseStampedMsg { public PoseMsg pose = new PoseMsg(); }
+    public class PoseStampedMsg {
+        public RosMessageTypes.Std.HeaderMsg header = new RosMessageTypes.Std.HeaderMsg();
+        public PoseMsg pose = new PoseMsg();
+    }
+}
+namespace RosMessageTypes.Std {
+    public class TimeMsg { public int sec; public uint nanosec; }
+    public class HeaderMsg { public TimeMsg stamp = new TimeMsg(); }
 }
 namespace RosMessageTypes.Sensor { public class JointStateMsg { public double[] position; } }
 
@@ -63,10 +85,18 @@ static class Scene {
             car.wheels[i] = new UnityEngine.Transform { localPosition = new UnityEngine.Vector3(i, 0.3f, 0) };
         typeof(SuspensionTwin).GetMethod("Start", (System.Reflection.BindingFlags)36).Invoke(car, null);
         var heard = Unity.Robotics.ROSTCPConnector.ROSConnection.Subscribed;
-        var pose = new RosMessageTypes.Geometry.PoseStampedMsg();
-        pose.pose.position = new RosMessageTypes.Geometry.PointMsg { x = n[0], y = n[1], z = n[2] };
-        pose.pose.orientation = new RosMessageTypes.Geometry.QuaternionMsg { x = n[3], y = n[4], z = n[5], w = n[6] };
-        heard["car_1/twin/pose"].DynamicInvoke(pose);
+        for (int i = 0; i + 8 < n.Length; i += 8) {
+            var pose = new RosMessageTypes.Geometry.PoseStampedMsg();
+            pose.header.stamp.sec = (int)Math.Floor(n[i]);
+            pose.header.stamp.nanosec = (uint)Math.Round(1e9 * (n[i] - Math.Floor(n[i])));
+            pose.pose.position = new RosMessageTypes.Geometry.PointMsg { x = n[i + 1], y = n[i + 2], z = n[i + 3] };
+            pose.pose.orientation = new RosMessageTypes.Geometry.QuaternionMsg {
+                x = n[i + 4], y = n[i + 5], z = n[i + 6], w = n[i + 7]
+            };
+            heard["car_1/twin/pose"].DynamicInvoke(pose);
+        }
+        UnityEngine.Time.timeAsDouble = n[n.Length - 1];
+        typeof(SuspensionTwin).GetMethod("Update", (System.Reflection.BindingFlags)36).Invoke(car, null);
         var joints = new RosMessageTypes.Sensor.JointStateMsg { position = new[] { 0.1, 0.1, 0.12, 0.12 } };
         heard["car_1/joint_states"].DynamicInvoke(joints);
         joints.position = new[] { 0.15, 0.1, 0.12, 0.09 };
@@ -82,21 +112,29 @@ static class Scene {
 
 
 def test_it_moves_body_and_wheels(repository: Path, tmp_path: Path) -> None:
-    page = (repository / "docs" / "engines.md").read_text(encoding="utf-8")
-    (script,) = re.findall(r"```csharp\n(.*?)```", page, re.DOTALL)
-    (tmp_path / "SuspensionTwin.cs").write_text(script, encoding="utf-8")
+    shutil.copy(repository / "config" / "engines" / "SuspensionTwin.cs", tmp_path)
     (tmp_path / "StandIns.cs").write_text(STAND_INS, encoding="utf-8")
     command = [str(MCS), "-out:scene.exe", "SuspensionTwin.cs", "StandIns.cs"]
     built = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert built.returncode == 0, built.stderr + built.stdout
-    place, turn = (12.5, -3.0, 0.4), np.array([0.1, -0.2, 0.3, 0.9])
-    turn /= np.linalg.norm(turn)
-    given = [f"{v:.9f}" for v in (*place, *turn)]
-    done = subprocess.run(
-        [str(MONO), "scene.exe", *given], cwd=tmp_path, capture_output=True, text=True, check=True
-    )
-    found = [float(v) for v in done.stdout.split()]
-    position, quaternion = to_unity(place, tuple(turn.tolist()))
-    np.testing.assert_allclose(found[:7], [*position, *quaternion], atol=1e-6)
+    stamps, places = (100.0, 100.02), ((12.5, -3.0, 0.4), (12.8, -3.01, 0.41))
+    turns = [
+        Rotation.from_euler("ZYX", angles).as_quat() for angles in ((2.0, 0.1, -0.05), (2.01, 0.11, -0.05))
+    ]
+    poses, given = FramePoses(), []
+    for pose in zip(stamps, places, turns, strict=True):
+        poses.push(*pose)
+        given += np.hstack(pose).tolist()
+    for ahead in (0.0, 0.013, 5.0):  # both arrive at 0 on Unity's clock
+        words = [f"{v:.9f}" for v in (*given, ahead)]
+        command = [str(MONO), "scene.exe", *words]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+        found = [float(v) for v in done.stdout.split()]
+        wanted = poses.at(stamps[-1] + ahead)
+        position, quaternion = to_unity(wanted.place, wanted.turn)
+        sign = np.sign(np.dot(quaternion, found[3:7]))  # the same turn either way
+        np.testing.assert_allclose(
+            found[:7], [*position, *(sign * np.array(quaternion))], atol=5e-6
+        )  # in single precision
     # compressed by 50 mm, at rest, at rest, extended by 30 mm: the wheel goes up in the body, or down
     np.testing.assert_allclose(found[7:], [0.35, 0.3, 0.3, 0.27], atol=1e-6)
