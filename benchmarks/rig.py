@@ -365,14 +365,14 @@ def _low_passed(values: np.ndarray, rate: float) -> np.ndarray:
 
 
 INPUTS = ("road_displacement", "road_velocity", "actuator_force")
-#: Changes that are seeded, by the id of the effect that they are: the range is half of the largest swing over gravity.
+#: Changes that are seeded, by the id of the effect that they are: the range is half of the swing over gravity (0.999).
 SEEDED: dict[str, Callable[[RigRecord], RigRecord]] = {
     "none": lambda record: record,
     "time_offset": _late,
     "sensor_bandwidth": _of_acceleration(_low_passed),
     "sensor_scale": _of_acceleration(lambda values, rate: 1.15 * values),
     "sensor_clipping": _of_acceleration(
-        lambda values, rate: np.minimum(values, GRAVITY + 0.5 * np.max(values - GRAVITY))
+        lambda values, rate: np.minimum(values, GRAVITY + 0.5 * np.quantile(values - GRAVITY, 0.999))
     ),
 }
 
