@@ -36,7 +36,7 @@ from options import parse_options
 from rich.console import Console
 from rich.table import Table
 from scipy.interpolate import CubicSpline
-from scipy.signal import butter, lfilter, sosfilt, sosfilt_zi
+from scipy.signal import butter, lfilter, sosfilt, sosfilt_zi, sosfiltfilt
 
 from suspension_twin.calibration.request import CalibrationRequest
 from suspension_twin.calibration.run import calibrate
@@ -365,14 +365,14 @@ def _low_passed(values: np.ndarray, rate: float) -> np.ndarray:
 
 
 INPUTS = ("road_displacement", "road_velocity", "actuator_force")
-#: Changes that are seeded, by the id of the effect that they are: the range is half of the largest swing over gravity.
+#: Changes that are seeded, by the id of the effect that they are: the range is half of the swing over gravity (0.999).
 SEEDED: dict[str, Callable[[RigRecord], RigRecord]] = {
     "none": lambda record: record,
     "time_offset": _late,
     "sensor_bandwidth": _of_acceleration(_low_passed),
     "sensor_scale": _of_acceleration(lambda values, rate: 1.15 * values),
     "sensor_clipping": _of_acceleration(
-        lambda values, rate: np.minimum(values, GRAVITY + 0.5 * np.max(values - GRAVITY))
+        lambda values, rate: np.minimum(values, GRAVITY + 0.5 * np.quantile(values - GRAVITY, 0.999))
     ),
 }
 
@@ -389,6 +389,19 @@ def repeated(out: Path, seed: int, seconds: float) -> list[Path]:
     return paths
 
 
+def with_accelerometers(record: RigRecord) -> RigRecord:
+    """A run with what accelerometers would read in the place of displacements: behind a filter of 40 Hz, for encoders
+    that are differentiated twice are mostly noise."""
+    sos = butter(2, 40.0, fs=(record.t.size - 1) / float(record.t[-1] - record.t[0]), output="sos")
+    columns = {name: values for name, values in record.columns.items() if name in INPUTS}
+    for name in CHANNELS:
+        values = record.channel(name)
+        if values is not None:
+            derived = name.endswith("acceleration") and name not in record.columns
+            columns[name] = np.asarray(sosfiltfilt(sos, values)) if derived else values
+    return replace(record, columns=columns)
+
+
 def seeded(out: Path, seed: int, paths: list[Path], twin: Path) -> list[dict[str, str]]:
     """What the diagnosis says of the last run of each program, as it is and with each seeded change."""
     files = [str(path) for path in paths]
@@ -400,9 +413,7 @@ def seeded(out: Path, seed: int, paths: list[Path], twin: Path) -> list[dict[str
     rows = []
     for file in (file for file, shown in zip(files, last, strict=True) if shown):
         record = read_rig(file)
-        channels = {name: record.channel(name) for name in CHANNELS}
-        inputs = {name: values for name, values in record.columns.items() if name in INPUTS}
-        plain = replace(record, columns=inputs | {n: v for n, v in channels.items() if v is not None})
+        plain = with_accelerometers(record)
         for effect, change in SEEDED.items():
             path = out / "seeded" / f"{record.name}_{effect}.csv"
             write_rig(change(plain), path, f"{record.name}, {effect} seeded by benchmarks/rig.py")

@@ -75,6 +75,6 @@ def test_a_worker_that_stumbles_on_a_file_tells_its_place(bench, twin_path, reco
     client = Client(bench, Calibrate, "calibrate")
     _, result = client.result(client.send(Calibrate.Goal(bags=[str(recorded)])))
     assert not result.success
-    assert result.message.endswith("other.yaml: cannot be used: the log of the node says why")
+    assert "other.yaml: cannot be used (vehicle" in result.message
     assert "hunter2" not in result.message
     assert "hunter2" in capfd.readouterr().err
