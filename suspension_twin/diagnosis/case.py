@@ -186,8 +186,8 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
     case = Case(twin, tuple(drives), active, tuple(warnings))
     if case.placed:
         text = (
-            f"the receiver leaves place and time open: {', '.join(OF_PLACE)} are nuisances and cannot be named, and other "
-            "causes are confused more often than with RTK"
+            f"the receiver leaves place and time open: {', '.join(OF_PLACE)} are nuisances and cannot be named, "
+            "and other causes are confused more often than with RTK"
         )
         case = replace(case, warnings=(*case.warnings, text))
     return case
