@@ -4,7 +4,8 @@
 Explained variance of the main channel, 1 - var(measured - simulated) / var(measured), on parts of the data that are
 held out in turn: whole runs, both halves of a single run, or every fifth block of road; where one bump makes most of
 the motion, so that the road without it shows nothing, whole passes. The twin without a part is one Gauss-Newton step
-from the fit to all data. Beside it stand, fitted to the same parts: for a rig the linear corner of
+from the fit to all data; where the drive was and how its sensor read it stays as found in all of it, for this is found
+anew on every drive. Beside it stand, fitted to the same parts: for a rig the linear corner of
 ``inference.linear_corner``, for a car the twin with straight springs and dampers; and what a run explains of a repeat.
 """
 
@@ -65,7 +66,7 @@ def yardstick(setup: Setup, outcome: SearchOutcome, kept: NDArray[np.bool_]) -> 
     if part.max() < 1:
         return None
     x = np.concatenate([problem.space.to_slopes(outcome.values), outcome.nuisance - outcome.placed])
-    fixed = np.append(kept, np.zeros(problem.q, dtype=bool))
+    fixed = np.append(kept, np.ones(problem.q, dtype=bool))
     weight = {term.channel: term.weight for term in setup.objective.terms}
     weights = np.array([weight[name] for name in problem.channels])
     simulated = _held_out(problem, x, part, fixed, weights)
@@ -176,7 +177,7 @@ def _of_straight(setup: Setup, problem: Problem, x: Floats, part: NDArray[np.int
         settings=_DESCENT,
     )
     solver.run()
-    return _held_out(fresh, solver.x, part, np.zeros(start.size, dtype=bool), 1.0 / scale)
+    return _held_out(fresh, solver.x, part, np.arange(start.size) >= fresh.d, 1.0 / scale)
 
 
 def straight(twin: Twin) -> Twin:
