@@ -308,8 +308,8 @@ def test_a_seventeenth_phone_is_told_once(bump: Drive) -> None:
 
     taken = listen(LOCAL, play)
     assert len(taken.hub.devices) == 16
-    assert sorted(text for text in taken.said if "not taken" in text) == [
-        f"phone {k}-phone: not taken, there are 16 devices already" for k in range(16, 20)
+    assert sorted(text for text in taken.said if "not taken" in text) == [  # a few of a kind at a time
+        f"phone {k}-phone: not taken, there are 16 devices already" for k in range(16, 19)
     ]
 
 

@@ -407,7 +407,7 @@ class Hub:
         """An event for the user; ``code`` names its kind. A warning that was just given is not repeated, and of one
         kind there are a few at a time."""
         text = shorter(text, _LINE)
-        if not self._few.allows(code, text, again=level == "ok"):
+        if not self._few.allows(f"{level} {code}", text, again=level == "ok"):
             return
         self._events.append(Finding(level, code, text))
         self.wake()
