@@ -28,7 +28,7 @@ TABLES = {
     "fuzz": r"300 requests in .* s: passed",
     "golden": r"smoke_rig made in",
     "iio_qemu": r"Largest relative difference",
-    "intervals": r"a single hump +damper push",
+    "intervals": r"a single hump . damper push",
     "live": r"p99 of the twin / of the relay",
     "live_fleet": r"twins at 100 Hz in 1 process",
     "live_pose": r"Largest error of the live pose",
