@@ -122,15 +122,18 @@ def _turning_of_gravity(windows: ImuWindows) -> tuple[float, float]:
     return _rms(np.diff(up, axis=0)[follows]), said
 
 
-def turning_fault(windows: ImuWindows, velocity: VelocityData) -> str:
+def turning_fault(windows: ImuWindows, velocity: VelocityData, mounted: Floats | None = None) -> str:
     """Fault of the gyroscope, or of the accelerometer beside it, by the course of the ``velocity`` or the turning of
-    gravity, in words; empty where they agree, and for rates in deg/s: see :func:`rates_in_degrees`."""
+    gravity, in words; empty where they agree, and for rates in deg/s: see :func:`rates_in_degrees`.
+
+    ``mounted`` (3,) is up in the axes of the sensor as it is mounted. Where the accelerometer agrees with it, a
+    gyroscope of the other sign may be one of mirrored axes: the comparison with the path tells these apart."""
     if windows.t.size < _FEWEST or rates_in_degrees(windows, velocity):
         return ""
     turns = _turning(windows, velocity)
     if turns is None:
         seen, said = _turning_of_gravity(windows)
-        wrong = said > max(_TURNS, _TIMES * seen)
+        wrong = said > max(_TURNS, _CERTAIN * seen)
         return f"{_otherwise(seen, said)}, as the rates say: check their unit and axes" if wrong else ""
     size = float(np.linalg.norm(turns))
     if not 1.0 / _SCALE < size < _SCALE:
@@ -142,6 +145,8 @@ def turning_fault(windows: ImuWindows, velocity: VelocityData) -> str:
         return ""
     cosine = float(turns @ vertical) / size / steady
     if cosine < -_ALONG:
+        if mounted is not None and vertical @ mounted > 0.0:
+            return ""
         return (
             "the gyroscope turns the other way about the accelerometer's vertical than the course: one of the two is "
             "negated (as iOS has its accelerometer)"

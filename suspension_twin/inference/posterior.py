@@ -53,7 +53,7 @@ class Posterior:
 
 def travel(twin: Twin, problem: Problem) -> Travel:
     """Simulate ``twin`` over the parts of a problem and collect its suspension travel; empty for a vehicle without
-    characteristics."""
+    axles."""
     if not twin.axles:
         return Travel({}, {}, {}, problem.measured.rate)
     compression: dict[str, list[Floats]] = {axle: [] for axle in twin.axles}

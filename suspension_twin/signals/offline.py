@@ -286,7 +286,7 @@ def ingest_drive(drive: Drive, place: Place, settings: ImuSettings | None = None
     findings += _listed(reading.take_units(recognise_units(raw_force), raw_force))
     windows = windowed(t, reading.scale * raw_force, raw_rate)
     findings += _listed(reading.take_rate_units(rates_in_degrees(windows, drive.velocity)))
-    if fault := turning_fault(windows, drive.velocity):
+    if fault := turning_fault(windows, drive.velocity, reading.mounting[2]):
         findings.append(Finding("error", "senses", fault))
     raw_rate = reading.rate_scale * raw_rate
     saturated = saturated_samples(reading.scale * raw_force, settings.full_scale)

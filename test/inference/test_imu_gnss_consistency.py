@@ -153,9 +153,18 @@ def test_what_no_answer_can_come_from_is_refused_in_one_line(
     assert any(says in w for w in observe(spoilt, twin, bumps).warnings)  # to look at, not to learn from
 
 
-def test_rates_in_degrees_are_named_and_converted(drive: Drive, twin: Twin, bumps: Road) -> None:
-    degrees = replace(drive, imu=replace(drive.imu, angular_rate=np.degrees(drive.imu.angular_rate)))
-    sound, found = (observe(d, twin, bumps, strict=True) for d in (drive, degrees))
+def in_degrees(drive: Drive) -> Drive:
+    return replace(drive, imu=replace(drive.imu, angular_rate=np.degrees(drive.imu.angular_rate)))
+
+
+def test_rates_that_braking_hides_are_asked_about(drive: Drive, twin: Twin, bumps: Road) -> None:
+    """On a straight road no course says what the unit is, and braking turns what is felt more than the road does."""
+    with pytest.raises(InputError, match="are its rates in °/s"):
+        observe(in_degrees(drive), twin, bumps, strict=True)
+
+
+def test_rates_in_degrees_are_named_and_converted(winding: Drive, twin: Twin) -> None:
+    sound, found = (observe(d, twin, flat_road(), strict=True) for d in (winding, in_degrees(winding)))
     (text,) = set(found.warnings) - set(sound.warnings)
     assert text.startswith("angular rates come in °/s, taken times π/180") and "imu.rpy" not in text
     np.testing.assert_allclose(found.signals.rate, sound.signals.rate, atol=1e-9)

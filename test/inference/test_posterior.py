@@ -556,9 +556,9 @@ def test_travel_of_a_car_is_that_of_both_wheels_of_each_axle_over_all_parts(pass
         assert found.static[axle] == pytest.approx(twin.axles[axle].static_compression, abs=1e-3)
 
 
-def test_a_vehicle_without_characteristics_does_not_travel(corner: Twin) -> None:
+def test_a_vehicle_without_axles_does_not_travel(corner: Twin, repository: Path) -> None:
     problem: Any = Straight(space_of(corner, MASS), 0, rate=50.0)
-    found = travel(corner, problem)
+    found = travel(load_twin(repository / "config" / "tracked" / "pt91.yaml"), problem)
     assert (found.compression, found.velocity, found.static, found.rate) == ({}, {}, {}, 50.0)
 
 
