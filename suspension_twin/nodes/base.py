@@ -241,8 +241,12 @@ class TwinNode(Node):  # type: ignore[misc]
         self.health = Health(self.get_fully_qualified_name().lstrip("/"), time.monotonic)
         self._shown: set[str] = set()
         self._counted: dict[str, int] = {}
-        self._set = ParameterSet(self, (*self.common, *self.parameters), self.checked, self._on_change)
-        self._read_limits()
+        try:
+            self._set = ParameterSet(self, (*self.common, *self.parameters), self.checked, self._on_change)
+            self._read_limits()
+        except InputError:
+            Node.destroy_node(self)  # else at some garbage collection, which DDS may hold up for good
+            raise
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         #: Called with every diagnostics message, beside the topic.
         self.diagnostics_links: list[Callable[[DiagnosticArray], None]] = []

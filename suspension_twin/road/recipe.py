@@ -42,7 +42,6 @@ from suspension_twin.road.build import (
 )
 from suspension_twin.road.crg import comment_of
 from suspension_twin.road.road import Road
-from suspension_twin.road.roughness import iso8608_road
 
 __all__ = [
     "FIRST_AT",
@@ -260,6 +259,8 @@ def make_road(
     if length / step > 2e6:
         raise InputError("--step", f"{length:g} m at {step:g} m are too many cross sections")
     if iso is not None:
+        from suspension_twin.road.roughness import iso8608_road  # half a second of imports (scipy.signal)
+
         road = iso8608_road(
             iso,
             length,
