@@ -17,7 +17,6 @@ from typing import Final
 
 import numpy as np
 from scipy.interpolate import CubicSpline, make_interp_spline
-from scipy.signal import butter, sosfiltfilt
 
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.contents import Contents, decode_topic
@@ -104,6 +103,8 @@ def driven_by_wheel(record: RigRecord) -> RigRecord:
     if pull is None:
         raise InputError(record.name, "wheel_displacement", "is missing, and so is wheel_acceleration")
     rate = (record.t.size - 1) / float(record.t[-1] - record.t[0])
+    from scipy.signal import butter, sosfiltfilt  # a calibration does not wait for it
+
     sos = butter(2, _LOWEST, "highpass", fs=rate, output="sos")
     speed = CubicSpline(record.t, pull - np.mean(pull)).antiderivative()(record.t)
     return replace(record, columns={"road_velocity": sosfiltfilt(sos, speed), **kept})
