@@ -28,9 +28,11 @@ __all__ = ["MAT_MAGIC", "MatTable", "fields_of", "mat_table", "of_mat", "variabl
 
 MAT_MAGIC: Final = b"MATLAB "
 _V73: Final = b"MATLAB 7.3"
+#: Type of a compressed element (miCOMPRESSED, MAT-File Format, table 1-1); bytes that are unpacked at a time, and of a
+#: file (tolerances).
 _COMPRESSED: Final = 15
 _PIECE: Final = 1 << 20
-_LARGEST: Final = 2 << 30  # bytes of a file
+_LARGEST: Final = 2 << 30
 _DEEP: Final = 6  # structs within structs: Simulink's have three
 
 Found = TypeVar("Found")

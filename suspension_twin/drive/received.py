@@ -41,17 +41,18 @@ _METRES: Final = math.radians(6_371_000.0)  # m of a degree on the mean sphere
 _INTERVALS, _FEWEST = 25, 2
 
 
-#: s of driving over which ways are compared, and between velocities beyond which nothing is known of a way.
+#: s of driving over which ways are compared, and between velocities beyond which nothing is known of a way
+#: (tolerances, by hand: a phone has a fix a second).
 _STRETCH, _HOLE = 10.0, 2.5
 #: Ways that are needed, their least rms in m and in standard deviations of a position; that of a phone where it is not
-#: known, in m.
+#: known, in m (tolerances, by hand).
 _WAYS, _FAR, _CLEAR, _ROUGH = 10, 10.0, 7.0, 3.0
 #: What ways of one vehicle have at least: correlation, and by how much it exceeds that with east and north exchanged
 #: (tolerances, by hand); the ratio of their lengths and the angle in rad between them at most.
 _ALIKE, _EXCHANGED, _RATIO, _ANGLE = 0.7, 0.15, 1.3, 0.5
-#: Share of the ways below which velocities say of none.
+#: Share of the ways below which velocities say of none (tolerance, by hand).
 _STILL = 0.05
-#: m/s in a unit of speed, by exact definitions, and how far a ratio may be from it.
+#: m/s in a unit of speed, by exact definitions, and how far a ratio may be from it (tolerance, by hand).
 _SPEEDS: Final = {"km/h": 3.6, "knots": 3600.0 / 1852.0, "mph": 3600.0 / 1609.344, "ft/s": 1.0 / 0.3048}
 _UNIT: Final = 1.08
 

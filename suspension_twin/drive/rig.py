@@ -49,7 +49,8 @@ QUANTITIES: Final[Mapping[str, tuple[Mapping[str, float], float]]] = {
 _LARGEST: Final = 1 << 30  # bytes of a table
 _ROAD: Final = ("road_displacement", "road_velocity")
 _WHEEL: Final = ("wheel_displacement", "wheel_acceleration")
-#: Hz above which the motion of a wheel is taken from its accelerometer: well below any bounce of a body.
+#: Hz above which the motion of a wheel is taken from its accelerometer: well below any bounce of a body, 1 Hz
+#: (tolerance, by hand).
 _LOWEST: Final = 0.2
 _BODY: Final = ("body_acceleration", "body_displacement")
 _ACCELEROMETERS: Final = {"/imu/data_raw": "body_acceleration", "/wheel/imu/data_raw": "wheel_acceleration"}

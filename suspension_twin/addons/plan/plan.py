@@ -65,7 +65,7 @@ _LOG_SIZES: Final = np.arange(-REACH, REACH)
 _BETTER: Final = 0.1
 #: Frequencies of a resonance, in standard deviations from typical.
 _TONES: Final = np.linspace(-1.5, 1.5, 25)
-_TOGETHER: Final = 3  # neighbours that make one rival
+_TOGETHER: Final = 3  # neighbours that make one rival (numerics)
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,7 +43,7 @@ TITLE = "phyphox"
 EXAMPLE = "phyphox://192.168.1.20:8080"
 
 _PORT: Final = 8080  # Android's; iPhones have 80
-#: Bytes of an answer: two minutes of 400 Hz. Its objects take up to 24 times as much.
+#: Bytes of an answer: two minutes of 400 Hz. Its objects take up to 24 times as much (measured; tolerance).
 _MOST: Final = 8_000_000
 _PATIENCE: Final = 5.0  # s
 _CLEARED: Final = 2.0  # s without anything new

@@ -13,7 +13,8 @@ from suspension_twin.addons.view.axes import Quaternion, Vector
 
 __all__ = ["FramePose", "FramePoses"]
 
-#: s by which a pose is carried on at most: a twin that has stopped sending stands, and does not drive off.
+#: s by which a pose is carried on at most: a twin that has stopped sending stands, and does not drive off
+#: (tolerance, by hand: a dozen poses at 60 Hz).
 FARTHEST = 0.2
 
 

@@ -37,7 +37,7 @@ __all__ = ["SCAN_UNITS", "Cloud", "Georeference", "georeference_of", "open_cloud
 SCAN_UNITS: dict[str, float] = {**{k: UNITS[k] for k in ("m", "cm", "mm", "ft")}, "us-ft": 1200.0 / 3937.0}
 #: Points in a piece: 24 MB of coordinates.
 _PIECE = 1_000_000
-#: Bytes of a line of a header.
+#: Bytes of a line of a header (tolerance, by hand).
 _LINE = 4096
 #: Added to the format of a point where points are compressed.
 _COMPRESSED = 128

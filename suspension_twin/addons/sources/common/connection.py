@@ -110,7 +110,7 @@ def parse_address(url: str) -> Address:
     )
 
 
-#: Characters of what the other side says that are repeated.
+#: Characters of what the other side says that are repeated (tolerance: a line of a terminal).
 _WORDS = 80
 #: s between attempts, at first and at most.
 _FIRST, _LONGEST = 0.5, 0.8

@@ -300,7 +300,7 @@ class _Buffer:
 _LIMIT = 20_000
 _DEVICES = 16
 _EVENTS = 200
-#: Characters of an event.
+#: Characters of an event (tolerance: a few lines of a terminal).
 _LINE = 300
 #: s after which another device takes the place of one that has gone silent.
 _SUCCESSION = 30.0
