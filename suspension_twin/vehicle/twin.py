@@ -11,6 +11,7 @@ import math
 import os
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, Protocol
 
@@ -524,21 +525,27 @@ def with_value(node: object, key: str, value: object, source: str = "twin") -> o
 
 def _child(node: object, part: str, key: str, source: str) -> object:
     """The value of one part of a key."""
-    known: Collection[str] = ()
-    if isinstance(node, Strict):
-        known = type(node).model_fields
-        if part in known:
-            return getattr(node, part)
-    elif isinstance(node, Mapping):
+    kind = type(node)
+    known: Collection[str] = _fields(kind)
+    if part in known:
+        return getattr(node, part)
+    if isinstance(node, Mapping):
         known = [str(name) for name in node]
         if part in known:
             return node[part]
-    elif isinstance(node, Sequence) and not isinstance(node, str):
-        known = [str(i) for i in range(len(node))]
-        if part in known:
+    elif kind in (tuple, list):
+        assert isinstance(node, Sequence)
+        if part.isdecimal() and part == str(int(part)) and int(part) < len(node):
             return node[int(part)]
+        known = [str(i) for i in range(len(node))]
     near = nearest(part, known) or (f" ({', '.join(known)})" if known else "")
     raise InputError(source, key, f"no such key in the twin file{near}")
+
+
+@cache
+def _fields(kind: type) -> Collection[str]:
+    """Names of the values of a part of a file, none of another type."""
+    return kind.model_fields if issubclass(kind, Strict) else ()
 
 
 class FourWheeledTwin(Twin):
