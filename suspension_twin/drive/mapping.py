@@ -32,7 +32,7 @@ from suspension_twin.drive.clocks import (
 from suspension_twin.drive.foreign_files import DataTable, RecordedFiles, read_table
 from suspension_twin.drive.importers import IMPORTERS, read_source
 from suspension_twin.drive.mat import MAT_MAGIC, mat_table
-from suspension_twin.drive.mdf import MDF_MAGIC, MeasuredTable, open_mdf
+from suspension_twin.drive.measurement import MeasuredTable, open_measurement
 from suspension_twin.drive.rig import QUANTITIES, RigRecord, checked_rig, rig_unit
 from suspension_twin.drive.stamps import began_again, unwrapped
 from suspension_twin.drive.streams import Series, Streams
@@ -372,13 +372,15 @@ def read_mapped_rig(mapping: Mapping, recordings: Sequence[RecordedFiles], label
     assert spec is not None
     streams = Streams(origin=f"mapping {Path(label).name}")
     files = _Files(recordings, streams)
+    # before their time: that of a measurement's channels is the first one's
+    read = {name: files.table(one, spec).numbers(one.column) for name, one in spec.columns.items()}
     t = _time(files, spec.time, spec)
     series: dict[str, tuple[Floats, Floats]] = {}
     for name, one in spec.columns.items():
         table = files.table(one, spec)
         own = one if one.file is not None else spec
         stamps = t if one.time is None else _time(files, one.time, own)
-        values = table.numbers(one.column) * one.sign * QUANTITIES[name][0][rig_unit(one.unit)]
+        values = read[name] * one.sign * QUANTITIES[name][0][rig_unit(one.unit)]
         if stamps.size != values.size:
             raise InputError(
                 table.label, name, f"{values.size} rows for {stamps.size} stamps: give it a time"
@@ -433,8 +435,8 @@ class _Files:
             return self.measured[section]
         if chosen not in self.tables:
             data, label = self.content(chosen.file)
-            if data.startswith(MDF_MAGIC):
-                self.measured[section] = MeasuredTable(label, [], measurement=open_mdf(data, label))
+            if (measurement := open_measurement(data, label)) is not None:
+                self.measured[section] = MeasuredTable(label, [], measurement=measurement)
                 return self.measured[section]
             if data.startswith(MAT_MAGIC):
                 self.tables[chosen] = mat_table(data, label)

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -270,3 +272,70 @@ def test_a_wrong_name_of_a_variable_is_refused(tmp_path: Path, old: str, new: st
     (tmp_path / "map.yaml").write_text(MAT_MAP.replace(old, new))
     with pytest.raises(InputError, match=message):
         import_rig([tmp_path / "bench.mat"], tmp_path / "map.yaml")
+
+
+MEASURED_MAP = """
+name: bench
+rig:
+  time: {}
+  columns:
+    road_displacement: {column: Rig/plate, unit: mm}
+    body_displacement: {column: Rig/body, unit: m, sign: -1}
+    actuator_force: {column: Drive/force, unit: kN}
+"""
+RIG_CHANNELS = {"Rig/plate": (T, 1e3 * ROAD), "Rig/body": (T, -BODY), "Drive/force": (T[::2] + 0.001, T[::2])}
+
+
+def write_mdf(path: Path) -> None:
+    asammdf = pytest.importorskip("asammdf")
+    measurement = asammdf.MDF(version="4.10")
+    for name, (t, values) in RIG_CHANNELS.items():
+        measurement.append([asammdf.Signal(values, t, name=name)])
+    measurement.save(path)
+
+
+def write_tdms(path: Path, *, waveforms: bool = True) -> None:
+    """By npTDMS' own writer; without ``waveforms`` as LabVIEW writes XY data, with channels for the time."""
+    nptdms = pytest.importorskip("nptdms")
+    start, channels = datetime(2024, 5, 1), []
+    for name, (t, values) in RIG_CHANNELS.items():
+        late = start + timedelta(seconds=float(t[0]))
+        stamps = {"wf_start_time": late, "wf_start_offset": 0.0, "wf_increment": float(t[1] - t[0])}
+        group, _, own = name.partition("/")
+        channels.append(nptdms.ChannelObject(group, own, values, stamps if waveforms else {}))
+        if not waveforms:
+            channels.append(nptdms.ChannelObject(group, f"time of {own}", t))
+    with nptdms.TdmsWriter(path) as writer:
+        writer.write_segment(channels)
+
+
+@pytest.mark.parametrize(("write", "name"), [(write_mdf, "bench.mf4"), (write_tdms, "bench.tdms")])
+def test_channels_of_a_measurement_are_a_run(
+    tmp_path: Path, write: Callable[[Path], None], name: str
+) -> None:
+    write(tmp_path / name)
+    (tmp_path / "map.yaml").write_text(MEASURED_MAP)
+    record = import_rig([tmp_path / name], tmp_path / "map.yaml")
+    t = record.t + T[T >= 0.001][0]
+    # POSIX times in a double are 0.2 µs apart
+    np.testing.assert_allclose(record.columns["road_displacement"], np.interp(t, T, ROAD), atol=1e-6 * 0.13)
+    np.testing.assert_allclose(record.columns["body_displacement"], np.interp(t, T, BODY), atol=1e-6 * 6.3)
+    np.testing.assert_allclose(record.columns["actuator_force"], 1e3 * (t - 0.001), atol=1e-6 * 1e3)
+
+
+def test_channels_of_tdms_without_stamps_are_rows(tmp_path: Path) -> None:
+    write_tdms(tmp_path / "bench.tdms", waveforms=False)
+    (tmp_path / "map.yaml").write_text(MEASURED_MAP)
+    with pytest.raises(InputError, match=r"channel Drive/force: has \d+ values and no stamps for \d+ rows"):
+        import_rig([tmp_path / "bench.tdms"], tmp_path / "map.yaml")
+    without = MEASURED_MAP.replace("    actuator_force: {column: Drive/force, unit: kN}\n", "")
+    (tmp_path / "map.yaml").write_text(without)
+    with pytest.raises(InputError, match="channels without stamps: name the one that is their time"):
+        import_rig([tmp_path / "bench.tdms"], tmp_path / "map.yaml")
+    (tmp_path / "map.yaml").write_text(without.replace("time: {}", "time: {column: Rig/time of body}"))
+    record = import_rig([tmp_path / "bench.tdms"], tmp_path / "map.yaml")
+    np.testing.assert_allclose(record.t, T - T[0], atol=1e-9)
+    np.testing.assert_allclose(record.columns["body_displacement"], BODY, atol=1e-12)
+    (tmp_path / "map.yaml").write_text(without.replace("Rig/body", "Rig/bodies"))
+    with pytest.raises(InputError, match=r"channel Rig/bodies: is not there; the channels are Drive/force, "):
+        import_rig([tmp_path / "bench.tdms"], tmp_path / "map.yaml")
