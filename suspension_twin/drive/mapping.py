@@ -33,7 +33,7 @@ from suspension_twin.drive.foreign_files import DataTable, RecordedFiles, read_t
 from suspension_twin.drive.importers import IMPORTERS, read_source
 from suspension_twin.drive.mat import MAT_MAGIC, mat_table
 from suspension_twin.drive.measurement import MeasuredTable, open_measurement
-from suspension_twin.drive.rig import QUANTITIES, RigRecord, checked_rig, rig_unit
+from suspension_twin.drive.rig import QUANTITIES, RigRecord, checked_rig, rig_unit, upright
 from suspension_twin.drive.stamps import began_again, unwrapped
 from suspension_twin.drive.streams import Series, Streams
 from suspension_twin.drive.types import FixData, HeadingData, VelocityData
@@ -268,14 +268,35 @@ class BagSpec(Strict):
     lag: Number = 0.0  # of the IMU's stamps against the others, s
 
 
-class RigColumnSpec(FileSpec):
-    """One quantity of a run of a rig: a ``column`` in a ``unit``, with the ``sign`` that makes upwards, compression and
-    a force that pushes the body up positive; ``time`` where it has stamps of its own."""
+class SpinSpec(Strict):
+    """The column of a sensor's rate of turn about the axle of its wheel."""
 
     column: Column
+    unit: Annotated[str, _one_of(RATE_UNITS)]
+
+
+class RigColumnSpec(FileSpec):
+    """One quantity of a run of a rig: a ``column`` in a ``unit``, with the ``sign`` that makes upwards, compression and
+    a force that pushes the body up positive; ``time`` where it has stamps of its own. Of an accelerometer that turns
+    with its wheel, two columns across the axle, x and y where the axle is z, and the ``spin`` about z."""
+
+    column: Column | tuple[Column, Column]
     unit: str
     sign: Literal[1, -1] = 1
     time: TimeSpec | None = None
+    spin: SpinSpec | None = None
+
+    @property
+    def read(self) -> tuple[Column, ...]:
+        """The columns that are read."""
+        own = self.column if isinstance(self.column, tuple) else (self.column,)
+        return own if self.spin is None else (*own, self.spin.column)
+
+    @model_validator(mode="after")
+    def _check(self) -> RigColumnSpec:
+        if isinstance(self.column, tuple) != (self.spin is not None):
+            raise ValueError("two columns and spin belong together")
+        return self
 
 
 class RigSpec(FileSpec):
@@ -373,22 +394,25 @@ def read_mapped_rig(mapping: Mapping, recordings: Sequence[RecordedFiles], label
     streams = Streams(origin=f"mapping {Path(label).name}")
     files = _Files(recordings, streams)
     # before their time: that of a measurement's channels is the first one's
-    read = {name: files.table(one, spec).numbers(one.column) for name, one in spec.columns.items()}
+    read = {name: [files.table(one, spec).numbers(c) for c in one.read] for name, one in spec.columns.items()}
     t = _time(files, spec.time, spec)
     series: dict[str, tuple[Floats, Floats]] = {}
     for name, one in spec.columns.items():
         table = files.table(one, spec)
         own = one if one.file is not None else spec
         stamps = t if one.time is None else _time(files, one.time, own)
-        values = read[name] * one.sign * QUANTITIES[name][0][rig_unit(one.unit)]
-        if stamps.size != values.size:
+        values, unit = read[name], one.sign * QUANTITIES[name][0][rig_unit(one.unit)]
+        if {stamps.size} != {own.size for own in values}:
             raise InputError(
-                table.label, name, f"{values.size} rows for {stamps.size} stamps: give it a time"
+                table.label, name, f"{values[0].size} rows for {stamps.size} stamps: give it a time"
             )
-        good = np.isfinite(stamps) & np.isfinite(values)
-        if good.sum() < 4 or (np.diff(stamps[good]) <= 0).any():
+        good = np.isfinite([stamps, *values]).all(axis=0)
+        stamps, (first, *more) = stamps[good], [own[good] for own in values]
+        if good.sum() < 4 or (np.diff(stamps) <= 0).any():
             raise InputError(table.label, name, "needs rising stamps and numbers in four rows or more")
-        series[name] = stamps[good], values[good]
+        if one.spin is not None:
+            first = upright(table.label, stamps, first + 1j * more[0], more[1] * RATE_UNITS[one.spin.unit])
+        series[name] = stamps, first * unit
     begin = max([t[0], *(s[0] for s, _ in series.values())])
     end = min([t[-1], *(s[-1] for s, _ in series.values())])
     kept = t[(t >= begin) & (t <= end)]

@@ -339,3 +339,51 @@ def test_channels_of_tdms_without_stamps_are_rows(tmp_path: Path) -> None:
     (tmp_path / "map.yaml").write_text(without.replace("Rig/body", "Rig/bodies"))
     with pytest.raises(InputError, match=r"channel Rig/bodies: is not there; the channels are Drive/force, "):
         import_rig([tmp_path / "bench.tdms"], tmp_path / "map.yaml")
+
+
+SPIN_MAP = """
+rig:
+  time: {column: 0}
+  columns:
+    body_acceleration: {column: 1, unit: m/s2}
+    wheel_acceleration: {column: [2, 3], unit: g, spin: {column: 4, unit: deg/s}}
+"""
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_an_accelerometer_that_turns_with_its_wheel_is_turned_upright(tmp_path: Path, side: int) -> None:
+    """What it reads follows from where it is, by differences of its path: beside the axle of a hub that moves forwards
+    and up and down, on a wheel that speeds up; on the other ``side`` of the car its axle points the other way."""
+    t = np.arange(0.0, 40.0, 0.005)
+    fine = np.arange(-2, t.size * 5 + 3) * 0.001
+    driven = 2.0 * fine + 0.15 * fine**2 + 0.01 * np.sin(2 * np.pi * 1.1 * fine)
+    height = 0.004 * np.sin(2 * np.pi * 3.0 * fine) + 0.001 * np.sin(2 * np.pi * 9.0 * fine)
+    angle = -side * driven / 0.3 + 1.0
+    path = side * driven + 1j * height + (0.02 - 0.013j) * np.exp(1j * angle)
+    felt = np.gradient(np.gradient(path, 0.001), 0.001) + 9.81j
+    read = felt * np.exp(-1j * angle) + (0.05 + 0.02j)  # a bias of its own
+    at = slice(2, -5, 5)
+    spin = np.gradient(angle, 0.001)
+    columns = [t, 0.0 * t, read.real[at] / 9.80665, read.imag[at] / 9.80665, np.degrees(spin[at])]
+    table(tmp_path / "hub.csv", "t,body,x,y,spin", *(x[: t.size] for x in columns))
+    (tmp_path / "map.yaml").write_text(SPIN_MAP)
+    found = import_rig([tmp_path / "hub.csv"], tmp_path / "map.yaml").columns["wheel_acceleration"]
+    wanted = np.gradient(np.gradient(height, 0.001), 0.001)[at][: t.size]
+    inside = (t > 5.0) & (t < 35.0)
+    off = found - found.mean() - wanted
+    assert np.std(off[inside]) < 0.02 * np.std(wanted)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("column: [2, 3]", "column: 2", "two columns and spin belong together"),
+        ("unit: deg/s", "unit: rpm", "must be one of rad/s"),
+        ("", "", r"hub\.csv: spin: which way is up shows in 20 s or more, not in 1\.99"),
+    ],
+)
+def test_a_spin_that_cannot_be_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
+    table(tmp_path / "hub.csv", "t,body,x,y,spin", *[T] * 5)
+    (tmp_path / "map.yaml").write_text(SPIN_MAP.replace(old, new))
+    with pytest.raises(InputError, match=message):
+        import_rig([tmp_path / "hub.csv"], tmp_path / "map.yaml")
