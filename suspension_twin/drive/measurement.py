@@ -8,13 +8,12 @@ become the columns of one table. Channels of TDMS that are no waveforms have non
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from datetime import datetime
 from importlib import import_module
 from importlib.util import find_spec
 from io import BytesIO
-from typing import Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 
@@ -26,76 +25,52 @@ from suspension_twin.errors import InputError
 __all__ = ["MeasuredTable", "Measurement", "open_measurement"]
 
 
-class Signal(Protocol):
-    """Values of a channel at its stamps in s, as asammdf gives them."""
-
-    timestamps: Floats
-    samples: Floats
+def _mdf(data: bytes) -> Any:
+    return import_module("asammdf").MDF(BytesIO(data))
 
 
-class _Mdf(Protocol):
-    """The part of ``asammdf.MDF`` that is used."""
-
-    start_time: datetime
-    channels_db: Mapping[str, object]
-
-    def get(self, name: str) -> Signal: ...
-
-
-class _Waveform(Protocol):
-    """The part of ``nptdms.TdmsChannel`` that is used."""
-
-    name: str
-    group_name: str
-    properties: Mapping[str, object]
-
-    def read_data(self) -> Floats: ...
-
-
-def _opened(data: bytes) -> _Mdf:
-    measurement: _Mdf = import_module("asammdf").MDF(BytesIO(data))
-    return measurement
-
-
-def _outline(data: bytes) -> tuple[float, list[str]]:
-    measurement = _opened(data)
+def _mdf_outline(data: bytes) -> tuple[float, list[str]]:
+    measurement = _mdf(data)
     return measurement.start_time.timestamp(), list(measurement.channels_db)
 
 
-def _channels(data: bytes, names: Sequence[str]) -> list[tuple[Floats, Floats]]:
-    signals = map(_opened(data).get, names)
+def _mdf_channels(data: bytes, names: Sequence[str]) -> list[tuple[Floats, Floats]]:
+    signals = map(_mdf(data).get, names)
     return [(np.asarray(s.timestamps, np.float64), np.asarray(s.samples, np.float64)) for s in signals]
 
 
-def _waveforms(data: bytes) -> tuple[float, dict[str, _Waveform]]:
-    """The earliest start of a waveform in POSIX s, 0 where none has one, and channels by ``group/channel``."""
+def _tdms(data: bytes) -> dict[str, Any]:
     groups = import_module("nptdms").TdmsFile.open(BytesIO(data)).groups()
-    channels = {f"{c.group_name}/{c.name}": c for group in groups for c in group.channels()}
-    starts = [_start(c) for c in channels.values() if "wf_start_time" in c.properties]
-    return min(starts, default=0.0), channels
+    return {f"{c.group_name}/{c.name}": c for group in groups for c in group.channels()}
 
 
-def _start(channel: _Waveform) -> float:
-    return np.datetime64(channel.properties["wf_start_time"], "ns").astype(np.int64) * 1e-9  # type: ignore[call-overload, no-any-return]
+def _start(channel: Any) -> float:
+    """POSIX s at which a waveform begins, NaN where that is not said."""
+    start = channel.properties.get("wf_start_time")
+    return np.nan if start is None else float(np.datetime64(start, "us").astype(np.int64)) * 1e-6
 
 
 def _tdms_outline(data: bytes) -> tuple[float, list[str]]:
-    start, channels = _waveforms(data)
-    return start, list(channels)
+    channels = _tdms(data)
+    starts = [start for start in map(_start, channels.values()) if start == start]
+    return min(starts, default=0.0), list(channels)
 
 
 def _tdms_channels(data: bytes, names: Sequence[str]) -> list[tuple[Floats, Floats]]:
-    start, channels = _waveforms(data)
-    found = []
-    for channel in map(channels.__getitem__, names):
-        values, own = np.asarray(channel.read_data(), np.float64), channel.properties
-        t = np.empty(0)
-        if "wf_increment" in own:
-            after = _start(channel) - start if "wf_start_time" in own else 0.0
-            offset, step = (float(str(own.get(f"wf_{key}", 0.0))) for key in ("start_offset", "increment"))
-            t = after + offset + step * np.arange(values.size)
-        found.append((t, values))
-    return found
+    channels, (earliest, _) = _tdms(data), _tdms_outline(data)
+    return [
+        (_stamps(channels[name], earliest), np.asarray(channels[name].read_data(), np.float64))
+        for name in names
+    ]
+
+
+def _stamps(channel: Any, earliest: float) -> Floats:
+    """Stamps (n,) of a waveform in s from the ``earliest`` one's start; none of any other channel."""
+    own = channel.properties
+    if "wf_increment" not in own:
+        return np.empty(0)
+    after = np.nan_to_num(_start(channel) - earliest) + float(own.get("wf_start_offset", 0.0))
+    return np.asarray(after + float(own["wf_increment"]) * np.arange(len(channel)))
 
 
 @dataclass(frozen=True)
@@ -111,7 +86,7 @@ class _Format:
 
 
 _FORMATS: Final = {
-    b"MDF     ": _Format("an MDF file", "asammdf", "mdf", _outline, _channels),
+    b"MDF     ": _Format("an MDF file", "asammdf", "mdf", _mdf_outline, _mdf_channels),
     b"TDSm": _Format("a TDMS file", "nptdms", "tdms", _tdms_outline, _tdms_channels),
 }
 

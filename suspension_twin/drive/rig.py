@@ -28,7 +28,16 @@ from suspension_twin.errors import InputError
 from suspension_twin.files import comment_lines, read_bytes, reader, replacing
 from suspension_twin.units import STANDARD_GRAVITY
 
-__all__ = ["QUANTITIES", "RigRecord", "checked_rig", "driven_by_wheel", "read_rig", "rig_unit", "upright", "write_rig"]
+__all__ = [
+    "QUANTITIES",
+    "RigRecord",
+    "checked_rig",
+    "driven_by_wheel",
+    "read_rig",
+    "rig_unit",
+    "upright",
+    "write_rig",
+]
 
 _LENGTH: Final = {"m": 1.0, "mm": 1e-3}
 _SPEED: Final = {"m_s": 1.0, "mm_s": 1e-3}
@@ -128,7 +137,9 @@ def upright(label: str, t: Floats, across: NDArray[np.complex128], spin: Floats)
     from scipy.signal import butter, sosfiltfilt  # a calibration does not wait for it
 
     if t[-1] - t[0] < _UPRIGHT:
-        raise InputError(label, f"spin: which way is up shows in {_UPRIGHT:g} s or more, not in {t[-1] - t[0]:.3g}")
+        raise InputError(
+            label, f"spin: which way is up shows in {_UPRIGHT:g} s or more, not in {t[-1] - t[0]:.3g}"
+        )
     rate = (t.size - 1) / float(t[-1] - t[0])
     sos = butter(2, 2.0 / _UPRIGHT, fs=rate, output="sos")
     turned = np.exp(1j * CubicSpline(t, spin).antiderivative()(t))
