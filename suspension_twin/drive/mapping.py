@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Annotated, Final, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
@@ -299,15 +299,25 @@ class RigColumnSpec(FileSpec):
         return self
 
 
+def _listed(value: object) -> object:
+    return value if isinstance(value, list) else [value]
+
+
 class RigSpec(FileSpec):
-    """A run of a rig: its ``time``, and columns by quantity; those of several files are joined."""
+    """A run of a rig: its ``time``, and columns by quantity; those of several files are joined. Of several columns of
+    one quantity, both hubs of an axle, the mean is taken."""
 
     time: TimeSpec
-    columns: dict[str, RigColumnSpec]
+    columns: dict[str, Annotated[list[RigColumnSpec], BeforeValidator(_listed)]]
+
+    @property
+    def all_columns(self) -> list[tuple[str, RigColumnSpec]]:
+        """Every column with its quantity."""
+        return [(name, spec) for name, specs in self.columns.items() for spec in specs]
 
     @model_validator(mode="after")
     def _check(self) -> RigSpec:
-        for name, spec in self.columns.items():
+        for name, spec in self.all_columns:
             known = [q for q in QUANTITIES if q != "time"]
             if name not in known:
                 raise ValueError(f"columns: {name} is none of {', '.join(known)}")
@@ -394,14 +404,14 @@ def read_mapped_rig(mapping: Mapping, recordings: Sequence[RecordedFiles], label
     streams = Streams(origin=f"mapping {Path(label).name}")
     files = _Files(recordings, streams)
     # before their time: that of a measurement's channels is the first one's
-    read = {name: [files.table(one, spec).numbers(c) for c in one.read] for name, one in spec.columns.items()}
+    read = [[files.table(one, spec).numbers(c) for c in one.read] for _, one in spec.all_columns]
     t = _time(files, spec.time, spec)
-    series: dict[str, tuple[Floats, Floats]] = {}
-    for name, one in spec.columns.items():
+    series: list[tuple[str, Floats, Floats]] = []
+    for (name, one), values in zip(spec.all_columns, read, strict=True):
         table = files.table(one, spec)
         own = one if one.file is not None else spec
         stamps = t if one.time is None else _time(files, one.time, own)
-        values, unit = read[name], one.sign * QUANTITIES[name][0][rig_unit(one.unit)]
+        unit = one.sign * QUANTITIES[name][0][rig_unit(one.unit)]
         if {stamps.size} != {own.size for own in values}:
             raise InputError(
                 table.label, name, f"{values[0].size} rows for {stamps.size} stamps: give it a time"
@@ -412,11 +422,13 @@ def read_mapped_rig(mapping: Mapping, recordings: Sequence[RecordedFiles], label
             raise InputError(table.label, name, "needs rising stamps and numbers in four rows or more")
         if one.spin is not None:
             first = upright(table.label, stamps, first + 1j * more[0], more[1] * RATE_UNITS[one.spin.unit])
-        series[name] = stamps, first * unit
-    begin = max([t[0], *(s[0] for s, _ in series.values())])
-    end = min([t[-1], *(s[-1] for s, _ in series.values())])
+        series.append((name, stamps, first * unit / len(spec.columns[name])))
+    begin = max([t[0], *(s[0] for _, s, _ in series)])
+    end = min([t[-1], *(s[-1] for _, s, _ in series)])
     kept = t[(t >= begin) & (t <= end)]
-    columns = {name: CubicSpline(s, v)(kept) for name, (s, v) in series.items()}
+    columns = {name: np.zeros(kept.size) for name in spec.columns}
+    for name, s, values in series:
+        columns[name] += CubicSpline(s, values)(kept)
     name = mapping.name or recordings[0].name
     return checked_rig(label, name, {"time": kept - kept[0], **columns}, tuple(streams.warnings))
 

@@ -341,6 +341,18 @@ def test_channels_of_tdms_without_stamps_are_rows(tmp_path: Path) -> None:
         import_rig([tmp_path / "bench.tdms"], tmp_path / "map.yaml")
 
 
+def test_both_hubs_of_an_axle_are_their_mean(tmp_path: Path) -> None:
+    """Each in its own unit, sign and stamps."""
+    mapped(tmp_path, COLUMNS)
+    right = '{file: "*input*.csv", column: Fc, unit: m, time: {column: 0}}'
+    hubs = f"[{{column: Plate, unit: mm, sign: -1}}, {right}]"
+    mapping = mapped(tmp_path, f"{COLUMNS}    wheel_displacement: {hubs}\n")
+    record = import_rig([tmp_path / f"a_{kind}.csv" for kind in ("output", "input")], mapping)
+    t = record.t + T[T >= 0.001][0]
+    wanted = 0.5 * (-1e-3 * np.interp(t, T, ROAD) + t)
+    np.testing.assert_allclose(record.columns["wheel_displacement"], wanted, atol=1e-9)
+
+
 SPIN_MAP = """
 rig:
   time: {column: 0}
