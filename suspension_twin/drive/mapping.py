@@ -427,8 +427,8 @@ def read_mapped_rig(mapping: Mapping, recordings: Sequence[RecordedFiles], label
     end = min([t[-1], *(s[-1] for _, s, _ in series)])
     kept = t[(t >= begin) & (t <= end)]
     columns = {name: np.zeros(kept.size) for name in spec.columns}
-    for name, s, values in series:
-        columns[name] += CubicSpline(s, values)(kept)
+    for name, s, part in series:
+        columns[name] += CubicSpline(s, part)(kept)
     name = mapping.name or recordings[0].name
     return checked_rig(label, name, {"time": kept - kept[0], **columns}, tuple(streams.warnings))
 
