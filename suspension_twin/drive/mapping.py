@@ -308,7 +308,7 @@ class RigSpec(FileSpec):
     one quantity, both hubs of an axle, the mean is taken."""
 
     time: TimeSpec
-    columns: dict[str, Annotated[list[RigColumnSpec], BeforeValidator(_listed)]]
+    columns: dict[str, Annotated[list[RigColumnSpec], BeforeValidator(_listed), Field(min_length=1)]]
 
     @property
     def all_columns(self) -> list[tuple[str, RigColumnSpec]]:

@@ -391,6 +391,11 @@ def test_an_accelerometer_that_turns_with_its_wheel_is_turned_upright(tmp_path: 
     [
         ("column: [2, 3]", "column: 2", "two columns and spin belong together"),
         ("unit: deg/s", "unit: rpm", "must be one of rad/s"),
+        (
+            "{column: [2, 3], unit: g, spin: {column: 4, unit: deg/s}}",
+            "[]",
+            "wheel_acceleration.* at least 1",
+        ),
         ("", "", r"hub\.csv: spin: which way is up shows in 20 s or more, not in 1\.99"),
     ],
 )
