@@ -77,6 +77,7 @@ FLEET = ["distributed>=2024.5", "dask>=2024.5", "fsspec>=2024.5", "psutil>=5.9",
 FOXGLOVE = ["foxglove-sdk>=0.14"]
 SCAN = ["laspy>=2.5", "lazrs>=0.6", "plyfile>=1.0", "pyproj>=3.6"]
 MDF = ["asammdf>=7.3"]
+TDMS = ["npTDMS>=1.7"]
 DOCS = ["sphinx>=8.1", "docutils>=0.20", "myst-nb>=1.2", "furo>=2024.8", "latex2mathml>=3.77"]
 
 
@@ -108,13 +109,14 @@ setup(
     python_requires=">=3.10,<3.14",
     install_requires=REQUIRED,
     extras_require={
-        "test": TEST + DOCS + FOXGLOVE + FLEET + FMU + SCAN + MDF,
+        "test": TEST + DOCS + FOXGLOVE + FLEET + FMU + SCAN + MDF + TDMS,
         "fleet": FLEET,
         "fmu": FMU,
         "s3": ["s3fs>=2024.5"],
         "foxglove": FOXGLOVE,
         "scan": SCAN,
         "mdf": MDF,
+        "tdms": TDMS,
         "docs": DOCS,
     },
     packages=find_packages(include=["suspension_twin", "suspension_twin.*"]),

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Annotated, Final, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
@@ -32,8 +32,8 @@ from suspension_twin.drive.clocks import (
 from suspension_twin.drive.foreign_files import DataTable, RecordedFiles, read_table
 from suspension_twin.drive.importers import IMPORTERS, read_source
 from suspension_twin.drive.mat import MAT_MAGIC, mat_table
-from suspension_twin.drive.mdf import MDF_MAGIC, MeasuredTable, open_mdf
-from suspension_twin.drive.rig import QUANTITIES, RigRecord, checked_rig, rig_unit
+from suspension_twin.drive.measurement import MeasuredTable, open_measurement
+from suspension_twin.drive.rig import QUANTITIES, RigRecord, checked_rig, rig_unit, upright
 from suspension_twin.drive.stamps import began_again, unwrapped
 from suspension_twin.drive.streams import Series, Streams
 from suspension_twin.drive.types import FixData, HeadingData, VelocityData
@@ -268,25 +268,56 @@ class BagSpec(Strict):
     lag: Number = 0.0  # of the IMU's stamps against the others, s
 
 
-class RigColumnSpec(FileSpec):
-    """One quantity of a run of a rig: a ``column`` in a ``unit``, with the ``sign`` that makes upwards, compression and
-    a force that pushes the body up positive; ``time`` where it has stamps of its own."""
+class SpinSpec(Strict):
+    """The column of a sensor's rate of turn about the axle of its wheel."""
 
     column: Column
+    unit: Annotated[str, _one_of(RATE_UNITS)]
+
+
+class RigColumnSpec(FileSpec):
+    """One quantity of a run of a rig: a ``column`` in a ``unit``, with the ``sign`` that makes upwards, compression and
+    a force that pushes the body up positive; ``time`` where it has stamps of its own. Of an accelerometer that turns
+    with its wheel, two columns across the axle, x and y where the axle is z, and the ``spin`` about z."""
+
+    column: Column | tuple[Column, Column]
     unit: str
     sign: Literal[1, -1] = 1
     time: TimeSpec | None = None
+    spin: SpinSpec | None = None
+
+    @property
+    def read(self) -> tuple[Column, ...]:
+        """The columns that are read."""
+        own = self.column if isinstance(self.column, tuple) else (self.column,)
+        return own if self.spin is None else (*own, self.spin.column)
+
+    @model_validator(mode="after")
+    def _check(self) -> RigColumnSpec:
+        if isinstance(self.column, tuple) != (self.spin is not None):
+            raise ValueError("two columns and spin belong together")
+        return self
+
+
+def _listed(value: object) -> object:
+    return value if isinstance(value, list) else [value]
 
 
 class RigSpec(FileSpec):
-    """A run of a rig: its ``time``, and columns by quantity; those of several files are joined."""
+    """A run of a rig: its ``time``, and columns by quantity; those of several files are joined. Of several columns of
+    one quantity, both hubs of an axle, the mean is taken."""
 
     time: TimeSpec
-    columns: dict[str, RigColumnSpec]
+    columns: dict[str, Annotated[list[RigColumnSpec], BeforeValidator(_listed), Field(min_length=1)]]
+
+    @property
+    def all_columns(self) -> list[tuple[str, RigColumnSpec]]:
+        """Every column with its quantity."""
+        return [(name, spec) for name, specs in self.columns.items() for spec in specs]
 
     @model_validator(mode="after")
     def _check(self) -> RigSpec:
-        for name, spec in self.columns.items():
+        for name, spec in self.all_columns:
             known = [q for q in QUANTITIES if q != "time"]
             if name not in known:
                 raise ValueError(f"columns: {name} is none of {', '.join(known)}")
@@ -372,25 +403,32 @@ def read_mapped_rig(mapping: Mapping, recordings: Sequence[RecordedFiles], label
     assert spec is not None
     streams = Streams(origin=f"mapping {Path(label).name}")
     files = _Files(recordings, streams)
+    # before their time: that of a measurement's channels is the first one's
+    read = [[files.table(one, spec).numbers(c) for c in one.read] for _, one in spec.all_columns]
     t = _time(files, spec.time, spec)
-    series: dict[str, tuple[Floats, Floats]] = {}
-    for name, one in spec.columns.items():
+    series: list[tuple[str, Floats, Floats]] = []
+    for (name, one), values in zip(spec.all_columns, read, strict=True):
         table = files.table(one, spec)
         own = one if one.file is not None else spec
         stamps = t if one.time is None else _time(files, one.time, own)
-        values = table.numbers(one.column) * one.sign * QUANTITIES[name][0][rig_unit(one.unit)]
-        if stamps.size != values.size:
+        unit = one.sign * QUANTITIES[name][0][rig_unit(one.unit)]
+        if {stamps.size} != {own.size for own in values}:
             raise InputError(
-                table.label, name, f"{values.size} rows for {stamps.size} stamps: give it a time"
+                table.label, name, f"{values[0].size} rows for {stamps.size} stamps: give it a time"
             )
-        good = np.isfinite(stamps) & np.isfinite(values)
-        if good.sum() < 4 or (np.diff(stamps[good]) <= 0).any():
+        good = np.isfinite([stamps, *values]).all(axis=0)
+        stamps, (first, *more) = stamps[good], [own[good] for own in values]
+        if good.sum() < 4 or (np.diff(stamps) <= 0).any():
             raise InputError(table.label, name, "needs rising stamps and numbers in four rows or more")
-        series[name] = stamps[good], values[good]
-    begin = max([t[0], *(s[0] for s, _ in series.values())])
-    end = min([t[-1], *(s[-1] for s, _ in series.values())])
+        if one.spin is not None:
+            first = upright(table.label, stamps, first + 1j * more[0], more[1] * RATE_UNITS[one.spin.unit])
+        series.append((name, stamps, first * unit / len(spec.columns[name])))
+    begin = max([t[0], *(s[0] for _, s, _ in series)])
+    end = min([t[-1], *(s[-1] for _, s, _ in series)])
     kept = t[(t >= begin) & (t <= end)]
-    columns = {name: CubicSpline(s, v)(kept) for name, (s, v) in series.items()}
+    columns = {name: np.zeros(kept.size) for name in spec.columns}
+    for name, s, part in series:
+        columns[name] += CubicSpline(s, part)(kept)
     name = mapping.name or recordings[0].name
     return checked_rig(label, name, {"time": kept - kept[0], **columns}, tuple(streams.warnings))
 
@@ -433,8 +471,8 @@ class _Files:
             return self.measured[section]
         if chosen not in self.tables:
             data, label = self.content(chosen.file)
-            if data.startswith(MDF_MAGIC):
-                self.measured[section] = MeasuredTable(label, [], measurement=open_mdf(data, label))
+            if (measurement := open_measurement(data, label)) is not None:
+                self.measured[section] = MeasuredTable(label, [], measurement=measurement)
                 return self.measured[section]
             if data.startswith(MAT_MAGIC):
                 self.tables[chosen] = mat_table(data, label)

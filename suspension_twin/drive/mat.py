@@ -11,7 +11,7 @@ import struct
 import tempfile
 import warnings
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from typing import Any, Final, TypeVar
@@ -93,7 +93,7 @@ class MatTable(DataTable):
             raise InputError(self.label, f"column {key}", f"name one of {', '.join(self.names[:40])}")
         return self.arrays[self.names[self.index(key)]]
 
-    def vector(self, keys: Any) -> Floats:
+    def vector(self, keys: Sequence[str | int]) -> Floats:
         """Vectors of one length side by side (n, len(keys))."""
         columns = [self.numbers(key) for key in keys]
         if len({column.size for column in columns}) > 1:

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, make_interp_spline
 
 from suspension_twin.arrays import Floats
@@ -27,7 +28,16 @@ from suspension_twin.errors import InputError
 from suspension_twin.files import comment_lines, read_bytes, reader, replacing
 from suspension_twin.units import STANDARD_GRAVITY
 
-__all__ = ["QUANTITIES", "RigRecord", "checked_rig", "driven_by_wheel", "read_rig", "rig_unit", "write_rig"]
+__all__ = [
+    "QUANTITIES",
+    "RigRecord",
+    "checked_rig",
+    "driven_by_wheel",
+    "read_rig",
+    "rig_unit",
+    "upright",
+    "write_rig",
+]
 
 _LENGTH: Final = {"m": 1.0, "mm": 1e-3}
 _SPEED: Final = {"m_s": 1.0, "mm_s": 1e-3}
@@ -52,6 +62,9 @@ _WHEEL: Final = ("wheel_displacement", "wheel_acceleration")
 #: Hz above which the motion of a wheel is taken from its accelerometer: well below any bounce of a body, 1 Hz
 #: (tolerance, by hand).
 _LOWEST: Final = 0.2
+#: s over which gravity is the mean of what a wheel feels, and the angle of a gyroscope's own does not drift: 10 s at
+#: 0.1 °/s is 1° (tolerance, by hand).
+_UPRIGHT: Final = 20.0
 _BODY: Final = ("body_acceleration", "body_displacement")
 _ACCELEROMETERS: Final = {"/imu/data_raw": "body_acceleration", "/wheel/imu/data_raw": "wheel_acceleration"}
 _JOINTS: Final = "/joint_states"
@@ -109,6 +122,37 @@ def driven_by_wheel(record: RigRecord) -> RigRecord:
     sos = butter(2, _LOWEST, "highpass", fs=rate, output="sos")
     speed = CubicSpline(record.t, pull - np.mean(pull)).antiderivative()(record.t)
     return replace(record, columns={"road_velocity": sosfiltfilt(sos, speed), **kept})
+
+
+def upright(label: str, t: Floats, across: NDArray[np.complex128], spin: Floats) -> Floats:
+    """(n,) upward specific force at the hub of a wheel that an accelerometer turns with, in its units.
+
+    ``across`` (n,) is what it reads across the axle, x + iy, at ``t`` (n,) s, and ``spin`` (n,) rad/s its rate of turn
+    about z. With θ the angle turned and ρ its place beside the axle,
+
+    ``across = f exp(-iθ) + ρ (iθ'' - θ'²) + b``,
+
+    where the mean of f points up. ρ and the bias b are found by least squares, as they stand still on the sensor.
+    """
+    from scipy.signal import butter, sosfiltfilt  # a calibration does not wait for it
+
+    if t[-1] - t[0] < _UPRIGHT:
+        raise InputError(
+            label, f"spin: which way is up shows in {_UPRIGHT:g} s or more, not in {t[-1] - t[0]:.3g}"
+        )
+    rate = (t.size - 1) / float(t[-1] - t[0])
+    sos = butter(2, 2.0 / _UPRIGHT, fs=rate, output="sos")
+    turned = np.exp(1j * CubicSpline(t, spin).antiderivative()(t))
+
+    def mean(values: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        return np.asarray(sosfiltfilt(sos, values.real) + 1j * sosfiltfilt(sos, values.imag))
+
+    still = np.column_stack([1j * CubicSpline(t, spin)(t, 1) - spin**2, np.ones(t.size)])
+    # without what is as slow as gravity once it is turned upright
+    slow = np.column_stack([x - mean(x * turned) / turned for x in (*still.T, across)])
+    found = np.linalg.lstsq(slow[:, :2], slow[:, 2], rcond=None)[0]
+    force = (across - still @ found) * turned
+    return np.asarray((force * np.exp(-1j * np.angle(mean(force)))).real)
 
 
 @reader("a run of a rig")

@@ -36,7 +36,7 @@ from suspension_twin.models.hooks import Values, load_hook
 from suspension_twin.models.parameters import ParameterLayout, layout, pack
 from suspension_twin.models.parts import has_part
 from suspension_twin.models.registry import Model
-from suspension_twin.models.sensor_chain import pass_chain
+from suspension_twin.models.sensor_chain import Chain, pass_clock
 from suspension_twin.models.simulate import LaneBlocks, Stretch, cores, full_response
 from suspension_twin.models.types import Excitation, LaneResponse, RepeatedRun, Response
 from suspension_twin.vehicle.corners import AXLES
@@ -158,12 +158,13 @@ def _lanes(twin: Twin, params: Floats, excitation: Excitation, threads: int | No
             at = [2, 6] if name == CHANNELS[0] else [6 + CHANNELS.index(name)]
             signals[:, at] += missed[:, None, None]
     # the chain changes what the accelerometer on the body reads; the clock stamps all channels
-    pass_chain(known, run, signals)
+    Chain(known).process(signals, run.t, run.substeps == 0)
+    names = ABOVE_WHEEL if above else CHANNELS
+    signals = np.ascontiguousarray(signals[:, [6 + CHANNELS.index(name) for name in names]])
+    pass_clock(known, run, signals)
     failed = blocks.failed | ~np.isfinite(signals).all(axis=(0, 1))
     signals[:, :, failed] = 0.0
-    names = ABOVE_WHEEL if above else CHANNELS
-    kept = [6 + CHANNELS.index(name) for name in names]
-    return LaneResponse(run.t, names, np.ascontiguousarray(signals[:, kept]), failed)
+    return LaneResponse(run.t, names, signals, failed)
 
 
 def _respond(twin: Twin, run: Excitation) -> Response:

@@ -17,6 +17,7 @@ __all__ = [
     "TAPS",
     "Chain",
     "pass_chain",
+    "pass_clock",
 ]
 
 _UNEVEN = 0.01  # of a step
@@ -57,12 +58,16 @@ class Chain:
 def pass_chain(known: Outside, excitation: Excitation, signals: Floats) -> None:
     """The chain over a whole drive, in place; ``signals`` (n, 7, L) as the ideal sensor read them."""
     Chain(known).process(signals, excitation.t, excitation.substeps == 0)
+    pass_clock(known, excitation, signals)
+
+
+def pass_clock(known: Outside, excitation: Excitation, signals: Floats) -> None:
+    """The clock alone over a whole drive, in place; ``signals`` (n, q, L) as they were taken."""
     if known.clock is not None:
-        clock = known.clock
-        plain = signals.copy()
-        t = excitation.t
-        even = _even(t, excitation.substeps)
-        _restamp(t, excitation.substeps, even, plain, clock.delay, clock.drift, TABLE, signals)
+        stamps = excitation.t, excitation.substeps
+        _restamp(
+            *stamps, _even(*stamps), signals.copy(), known.clock.delay, known.clock.drift, TABLE, signals
+        )
 
 
 def _even(t: Floats, substeps: Ints) -> NDArray[np.bool_]:

@@ -24,7 +24,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from suspension_twin.drive.foreign_files import read_array, read_table
-from suspension_twin.drive.importing import import_drive
+from suspension_twin.drive.importing import import_drive, import_rig
 from suspension_twin.drive.mapping import load_mapping
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.recording import read_recording
@@ -218,6 +218,23 @@ def test_a_matlab_file_that_unpacks_or_declares_too_much(tmp_path: Path) -> None
     for path in (v5, v73):
         with little_memory(), pytest.raises(InputError, match=TOO_LARGE):
             import_drive([path])
+
+
+def test_a_tdms_file_that_declares_too_much(tmp_path: Path) -> None:
+    """A segment of one channel of 10^10 doubles, and none of them there."""
+    pytest.importorskip("nptdms")
+
+    def name(text: str) -> bytes:
+        return struct.pack("<I", len(text)) + text.encode()
+
+    index = struct.pack("<IIIQ", 20, 10, 1, 10**10)
+    meta = struct.pack("<I", 1) + name("/'Rig'/'plate'") + index + struct.pack("<I", 0)
+    lead = b"TDSm" + struct.pack("<IIQQ", 0b1110, 4713, len(meta) + 8 * 10**10, len(meta))
+    (tmp_path / "bench.tdms").write_bytes(lead + meta + bytes(80))
+    plate = "{column: Rig/plate, unit: m}"
+    (tmp_path / "map.yaml").write_text(f"rig: {{time: {{}}, columns: {{road_displacement: {plate}}}}}")
+    with little_memory(), pytest.raises(InputError, match=r"bench\.tdms: "):
+        import_rig([tmp_path / "bench.tdms"], tmp_path / "map.yaml")
 
 
 def element(kind: int, data: bytes) -> bytes:

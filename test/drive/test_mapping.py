@@ -326,13 +326,20 @@ def test_an_mdf_file_by_its_channels(tmp_path: Path) -> None:
         import_drive([tmp_path / "cut.mf4"], mapping=tmp_path / "map.yaml")
 
 
-def test_without_asammdf_its_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "asammdf", None)
-    (tmp_path / "bench.mf4").write_bytes(b"MDF     4.10    " + bytes(200))
+@pytest.mark.parametrize(
+    ("magic", "module", "words"),
+    [
+        (b"MDF     4.10    ", "asammdf", r'an MDF file needs asammdf: pip install "suspension-twin\[mdf\]"'),
+        (b"TDSm", "nptdms", r'a TDMS file needs npTDMS: pip install "suspension-twin\[tdms\]"'),
+    ],
+)
+def test_without_its_library_the_extra_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, magic: bytes, module: str, words: str
+) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    (tmp_path / "bench.mf4").write_bytes(magic + bytes(200))
     (tmp_path / "map.yaml").write_text(yaml.safe_dump(MDF_MAP))
-    with pytest.raises(
-        InputError, match=r'bench\.mf4: an MDF file needs asammdf: pip install "suspension-twin\[mdf\]"'
-    ):
+    with pytest.raises(InputError, match=rf"bench\.mf4: {words}"):
         import_drive([tmp_path / "bench.mf4"], mapping=tmp_path / "map.yaml")
 
 

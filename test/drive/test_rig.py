@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -270,3 +272,135 @@ def test_a_wrong_name_of_a_variable_is_refused(tmp_path: Path, old: str, new: st
     (tmp_path / "map.yaml").write_text(MAT_MAP.replace(old, new))
     with pytest.raises(InputError, match=message):
         import_rig([tmp_path / "bench.mat"], tmp_path / "map.yaml")
+
+
+MEASURED_MAP = """
+name: bench
+rig:
+  time: {}
+  columns:
+    road_displacement: {column: Rig/plate, unit: mm}
+    body_displacement: {column: Rig/body, unit: m, sign: -1}
+    actuator_force: {column: Drive/force, unit: kN}
+"""
+RIG_CHANNELS = {"Rig/plate": (T, 1e3 * ROAD), "Rig/body": (T, -BODY), "Drive/force": (T[::2] + 0.001, T[::2])}
+
+
+def write_mdf(path: Path) -> None:
+    asammdf = pytest.importorskip("asammdf")
+    measurement = asammdf.MDF(version="4.10")
+    for name, (t, values) in RIG_CHANNELS.items():
+        measurement.append([asammdf.Signal(values, t, name=name)])
+    measurement.save(path)
+
+
+def write_tdms(path: Path, *, waveforms: bool = True) -> None:
+    """By npTDMS' own writer; without ``waveforms`` as LabVIEW writes XY data, with channels for the time."""
+    nptdms = pytest.importorskip("nptdms")
+    start, channels = datetime(2024, 5, 1), []
+    for name, (t, values) in RIG_CHANNELS.items():
+        late = start + timedelta(seconds=float(t[0]))
+        stamps = {"wf_start_time": late, "wf_start_offset": 0.0, "wf_increment": float(t[1] - t[0])}
+        group, _, own = name.partition("/")
+        channels.append(nptdms.ChannelObject(group, own, values, stamps if waveforms else {}))
+        if not waveforms:
+            channels.append(nptdms.ChannelObject(group, f"time of {own}", t))
+    with nptdms.TdmsWriter(path) as writer:
+        writer.write_segment(channels)
+
+
+@pytest.mark.parametrize(("write", "name"), [(write_mdf, "bench.mf4"), (write_tdms, "bench.tdms")])
+def test_channels_of_a_measurement_are_a_run(
+    tmp_path: Path, write: Callable[[Path], None], name: str
+) -> None:
+    write(tmp_path / name)
+    (tmp_path / "map.yaml").write_text(MEASURED_MAP)
+    record = import_rig([tmp_path / name], tmp_path / "map.yaml")
+    t = record.t + T[T >= 0.001][0]
+    # POSIX times in a double are 0.2 µs apart
+    np.testing.assert_allclose(record.columns["road_displacement"], np.interp(t, T, ROAD), atol=1e-6 * 0.13)
+    np.testing.assert_allclose(record.columns["body_displacement"], np.interp(t, T, BODY), atol=1e-6 * 6.3)
+    np.testing.assert_allclose(record.columns["actuator_force"], 1e3 * (t - 0.001), atol=1e-6 * 1e3)
+
+
+def test_channels_of_tdms_without_stamps_are_rows(tmp_path: Path) -> None:
+    write_tdms(tmp_path / "bench.tdms", waveforms=False)
+    (tmp_path / "map.yaml").write_text(MEASURED_MAP)
+    with pytest.raises(InputError, match=r"channel Drive/force: has \d+ values and no stamps for \d+ rows"):
+        import_rig([tmp_path / "bench.tdms"], tmp_path / "map.yaml")
+    without = MEASURED_MAP.replace("    actuator_force: {column: Drive/force, unit: kN}\n", "")
+    (tmp_path / "map.yaml").write_text(without)
+    with pytest.raises(InputError, match="channels without stamps: name the one that is their time"):
+        import_rig([tmp_path / "bench.tdms"], tmp_path / "map.yaml")
+    (tmp_path / "map.yaml").write_text(without.replace("time: {}", "time: {column: Rig/time of body}"))
+    record = import_rig([tmp_path / "bench.tdms"], tmp_path / "map.yaml")
+    np.testing.assert_allclose(record.t, T - T[0], atol=1e-9)
+    np.testing.assert_allclose(record.columns["body_displacement"], BODY, atol=1e-12)
+    (tmp_path / "map.yaml").write_text(without.replace("Rig/body", "Rig/bodies"))
+    with pytest.raises(InputError, match=r"channel Rig/bodies: is not there; the channels are Drive/force, "):
+        import_rig([tmp_path / "bench.tdms"], tmp_path / "map.yaml")
+
+
+def test_both_hubs_of_an_axle_are_their_mean(tmp_path: Path) -> None:
+    """Each in its own unit, sign and stamps."""
+    mapped(tmp_path, COLUMNS)
+    right = '{file: "*input*.csv", column: Fc, unit: m, time: {column: 0}}'
+    hubs = f"[{{column: Plate, unit: mm, sign: -1}}, {right}]"
+    mapping = mapped(tmp_path, f"{COLUMNS}    wheel_displacement: {hubs}\n")
+    record = import_rig([tmp_path / f"a_{kind}.csv" for kind in ("output", "input")], mapping)
+    t = record.t + T[T >= 0.001][0]
+    wanted = 0.5 * (-1e-3 * np.interp(t, T, ROAD) + t)
+    np.testing.assert_allclose(record.columns["wheel_displacement"], wanted, atol=1e-9)
+
+
+SPIN_MAP = """
+rig:
+  time: {column: 0}
+  columns:
+    body_acceleration: {column: 1, unit: m/s2}
+    wheel_acceleration: {column: [2, 3], unit: g, spin: {column: 4, unit: deg/s}}
+"""
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_an_accelerometer_that_turns_with_its_wheel_is_turned_upright(tmp_path: Path, side: int) -> None:
+    """What it reads follows from where it is, by differences of its path: beside the axle of a hub that moves forwards
+    and up and down, on a wheel that speeds up; on the other ``side`` of the car its axle points the other way."""
+    t = np.arange(0.0, 40.0, 0.005)
+    fine = np.arange(-2, t.size * 5 + 3) * 0.001
+    driven = 2.0 * fine + 0.15 * fine**2 + 0.01 * np.sin(2 * np.pi * 1.1 * fine)
+    height = 0.004 * np.sin(2 * np.pi * 3.0 * fine) + 0.001 * np.sin(2 * np.pi * 9.0 * fine)
+    angle = -side * driven / 0.3 + 1.0
+    path = side * driven + 1j * height + (0.02 - 0.013j) * np.exp(1j * angle)
+    felt = np.gradient(np.gradient(path, 0.001), 0.001) + 9.81j
+    read = felt * np.exp(-1j * angle) + (0.05 + 0.02j)  # a bias of its own
+    at = slice(2, -5, 5)
+    spin = np.gradient(angle, 0.001)
+    columns = [t, 0.0 * t, read.real[at] / 9.80665, read.imag[at] / 9.80665, np.degrees(spin[at])]
+    table(tmp_path / "hub.csv", "t,body,x,y,spin", *(x[: t.size] for x in columns))
+    (tmp_path / "map.yaml").write_text(SPIN_MAP)
+    found = import_rig([tmp_path / "hub.csv"], tmp_path / "map.yaml").columns["wheel_acceleration"]
+    wanted = np.gradient(np.gradient(height, 0.001), 0.001)[at][: t.size]
+    inside = (t > 5.0) & (t < 35.0)
+    off = found - found.mean() - wanted
+    assert np.std(off[inside]) < 0.02 * np.std(wanted)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("column: [2, 3]", "column: 2", "two columns and spin belong together"),
+        ("unit: deg/s", "unit: rpm", "must be one of rad/s"),
+        (
+            "{column: [2, 3], unit: g, spin: {column: 4, unit: deg/s}}",
+            "[]",
+            "wheel_acceleration.* at least 1",
+        ),
+        ("", "", r"hub\.csv: spin: which way is up shows in 20 s or more, not in 1\.99"),
+    ],
+)
+def test_a_spin_that_cannot_be_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
+    table(tmp_path / "hub.csv", "t,body,x,y,spin", *[T] * 5)
+    (tmp_path / "map.yaml").write_text(SPIN_MAP.replace(old, new))
+    with pytest.raises(InputError, match=message):
+        import_rig([tmp_path / "hub.csv"], tmp_path / "map.yaml")

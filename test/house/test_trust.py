@@ -82,6 +82,7 @@ HARMLESS = {
         "matio.load_from_mat(path)",
     ),  # a copy, in a child
     "drive/importers/sensor_logger.py": ("sqlite3.connect(uri",),  # what open_file() has looked at
+    "drive/measurement.py": ("import_module('nptdms').TdmsFile.open(BytesIO(",),
     "drive/recording.py": (
         "Ros1Reader(path)",  # what open_file() has looked at
         "reader.open()",
