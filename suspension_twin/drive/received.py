@@ -146,7 +146,7 @@ def held_places(fix: FixData) -> Bools:
 
 
 def interpolated_places(fix: FixData) -> Bools:
-    """Which fixes (n,) lie on straight lines between positions that the receiver computed, and say nothing of their own.
+    """Which fixes (n,) lie on straight lines between positions that the receiver computed.
 
     Where the velocity changes by v from one interval of T s to the next, a vehicle leaves the chord of its way by
     v T / 8; interpolated positions do not. At constant velocity nothing tells them apart, and nothing depends on it.

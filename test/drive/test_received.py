@@ -136,7 +136,9 @@ def test_of_interpolated_positions_the_computed_ones_stay(
     fix = fixes(t, np.interp(t, computed, way(computed)))
     fix = replace(fix, latitude=np.round(fix.latitude, decimals))
     kept = fix.t[~interpolated_places(fix)] - START
-    assert kept.size == pytest.approx((60.0 - begin) / interval, abs=2) and np.diff(kept).max() < 1.5 * interval
+    assert (
+        kept.size == pytest.approx((60.0 - begin) / interval, abs=2) and np.diff(kept).max() < 1.5 * interval
+    )
     beside = np.abs(kept / interval - np.round(kept / interval)) * interval
     assert np.median(beside) < 1.5 / given_at
 

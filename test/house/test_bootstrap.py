@@ -144,7 +144,7 @@ def test_the_versions_that_are_kept_are_of_every_python_and_name_no_address(
 ) -> None:
     lines = (repository / "constraints.txt").read_text().splitlines()[1:]
     for version in bootstrap.SUPPORTED:
-        marker = ' ; python_version == "%d.%d"' % version
+        marker = ' ; python_version == "{}.{}"'.format(*version)
         own = [line[: -len(marker)] for line in lines if line.endswith(marker)]
         names = [line.partition("==")[0] for line in own]
         assert len(own) > 200 and len(set(names)) == len(own) and {"numpy", "numba", "rosbags"} <= set(names)
