@@ -48,8 +48,8 @@ _RECEIVERS, _WRITTEN = (1.0, 0.5, 0.2, 0.1), 4
 #: least, where a curve leaves its chord by so many m (tolerances, by hand). Of that, positions between computed ones
 #: that are not interpolated leave it by 0.9 at least (24 s each of bundled and public drives), and in noise by more.
 _MOST, _LEAST, _BENT, _STRAIGHT = 1 / 3, 8, 1e-3, 0.5
-#: s between looks at a live stream, and how far back they go.
-_LOOK_EVERY, _LOOK_BACK = 5.0, 40.0
+#: s between looks at a live stream, and how many positions they go back (40 s at 100 Hz; tolerances, by hand).
+_LOOK_EVERY, _LOOK_BACK = 5.0, 4000
 
 #: s of driving over which ways are compared, and between velocities beyond which nothing is known of a way
 #: (tolerances, by hand: a phone has a fix a second).
@@ -159,12 +159,11 @@ def interpolated_places(fix: FixData) -> Bools:
     good, step = good[order], float(np.median(np.diff(t)))
     place = _plane(fix.latitude[good], fix.longitude[good])
     for interval in _RECEIVERS:
-        if interval < (_WRITTEN - 0.5) * step:
+        if interval < (_WRITTEN - 0.5) * step or t[-1] - t[0] > interval * t.size:
             break
-        count = np.arange((t[-1] - t[0]) // interval + 1)
-        offsets = np.arange(0.0, interval, step)
-        choices = [np.unique(np.searchsorted(t, t[0] + o + interval * count - 0.5 * step)) for o in offsets]
-        choices = [c[c < t.size] for c in choices]
+        begin = t[0] - 0.5 * step + interval * np.arange((t[-1] - t[0]) // interval + 1.0)
+        offsets = np.arange(0.0, interval, max(step, 0.01 * interval))
+        choices = [np.unique(np.searchsorted(t[:-1], begin + offset)) for offset in offsets]
         bends = [_bend_between(t, place, c, interval) for c in choices]
         best = int(np.argmin(bends))
         if bends[best] < _STRAIGHT:
@@ -205,7 +204,7 @@ class LivePlaces:
     """Tells held and interpolated places apart as they come, by the same rules, but for what only later ones show."""
 
     def __init__(self) -> None:
-        self._recent: deque[tuple[float, ...]] = deque()
+        self._recent: deque[tuple[float, ...]] = deque(maxlen=_LOOK_BACK)
         self._looked = self._computed = -math.inf
         self._interval = 0.0
         self._place: tuple[float, ...] = ()
@@ -215,6 +214,9 @@ class LivePlaces:
     def repeats(self, t: float, place: tuple[float, ...]) -> bool:
         """Whether the next fix is held or interpolated; ``place``: latitude, longitude, status."""
         held = False
+        if abs(t - self._t) > _LOOK_EVERY:  # it may go on as another
+            self._interval, self._looked = 0.0, t
+            self._recent.clear()
         if not self._interval:
             self._recent.append((t, *place))
             if t - self._looked > _LOOK_EVERY:
@@ -238,8 +240,6 @@ class LivePlaces:
 
     def _look(self) -> None:
         """Find the interval and the time of a computed place."""
-        while self._recent[-1][0] - self._recent[0][0] > _LOOK_BACK:
-            self._recent.popleft()
         t, latitude, longitude, status = np.array(self._recent).T
         none = np.zeros((t.size, 3))
         fix = FixData(t, latitude, longitude, none[:, 0], status, none)
@@ -247,8 +247,8 @@ class LivePlaces:
         between = interpolated_places(fix)
         if between.any():
             own = fix.t[~between]
-            self._computed, self._interval = float(own[-1]), float(np.median(np.diff(own)))
-            self._recent.clear()
+            # the last one is the last of the stream
+            self._computed, self._interval = float(own[-2]), float(np.median(np.diff(own)))
 
     def held(self, fix: FixData) -> Bools:
         """Which of the next fixes (n,) are held or interpolated, or have the stamp of the one before them."""
