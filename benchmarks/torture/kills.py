@@ -31,6 +31,7 @@ BAR = "the next run resumes or starts clean; no half file under a final name; th
 _BAG = ROOT / "bags" / "bump_15kmh"
 _OTHER = ROOT / "bags" / "crg_road"
 _TWIN = _BAG / "twin.yaml"
+_FOLDER = "{folder}"  # in arguments: the one of ``out``
 _LOST = 3.0  # s of a live recording that a kill may cost
 
 
@@ -47,7 +48,8 @@ class Command:
 
     def line(self, folder: Path) -> list[str]:
         force = ["--force"] if not self.goes_on and any((folder / n).exists() for n in self.names) else []
-        return [*self.arguments, "--out", str(folder / self.out), *force]
+        arguments = [a.replace(_FOLDER, str(folder)) for a in self.arguments]
+        return [*arguments, "--out", str(folder / self.out), *force]
 
     def contents(self, folder: Path) -> dict[str, str]:
         """Digest of everything that is there under a final name."""
@@ -66,10 +68,13 @@ def commands(folder: Path) -> dict[str, Command]:
     calibrate = ("calibrate", "--twin", str(_TWIN), str(_BAG), "--max-generations", "4", *free)
     effects = ("--effect", "time_offset", "--effect", "sensor_scale")
     answers = ("diagnosis.json", "evidence.json", "twin.yaml", "report.html")
+    part, joint = f"{_BAG}@0..40", ("--iterations", "3", "--joint", f"{_FOLDER}/joint.yaml")
+    roads = ("road", "drives", part, "--twin", str(_TWIN), *joint)
     fleet = ("fleet", "calibrate", str(manifest), "--max-generations", "3", "--workers", "1")
     return {
         "import": Command(("import", str(_BAG)), ("out",), 2, "out"),
         "mesh": Command(("road", "mesh", str(_BAG / "road.crg")), ("road.obj",), 1, "road.obj"),
+        "road drives": Command(roads, ("road.crg", "road.json", "joint.yaml"), 2, "road.crg"),
         "simulate": Command(("simulate", "--twin", str(_TWIN), str(_BAG)), ("simulated", "gap.json"), 1),
         "calibrate": Command(
             calibrate, ("calibrated.yaml", "calibrated.calibration.yaml"), 2, "calibrated.yaml"

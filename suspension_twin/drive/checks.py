@@ -18,7 +18,13 @@ from scipy.ndimage import median_filter
 
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.motion import on_one_clock
-from suspension_twin.drive.received import held_places, held_velocities, one_per_epoch, with_vertical
+from suspension_twin.drive.received import (
+    held_places,
+    held_velocities,
+    interpolated_places,
+    one_per_epoch,
+    with_vertical,
+)
 from suspension_twin.drive.stamps import began_again, jumps_back, of_one_recording, own_stamps, unwrapped
 from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, VelocityData
 
@@ -149,9 +155,14 @@ def clean_drive(drive: Drive) -> Drive:
     good = measured(velocity.enu) & np.isfinite(velocity.t)
     velocity = kept(velocity, good, "velocities", "are no numbers")
     velocity = kept(velocity, np.diff(velocity.t, prepend=-np.inf) != 0, "velocities", "repeat a stamp")
-    held = held_places(fix)
-    velocity = kept(velocity, ~held_velocities(velocity, fix.t[held]), "velocities", "repeat the one before")
-    fix = kept(fix, ~held, "fixes", "repeat the position before (held until the receiver computes another)")
+    for judge, fault in (
+        (held_places, "repeat the position before (held until the receiver computes another)"),
+        (interpolated_places, "are interpolated between those that the receiver computed"),
+    ):
+        own = ~judge(fix)
+        repeated = held_velocities(velocity, fix.t[~own])
+        velocity = kept(velocity, ~repeated, "velocities", "repeat the one before")
+        fix = kept(fix, own, "fixes", fault)
     if heading is not None:
         heading = kept(
             heading, np.isfinite(heading.yaw) & np.isfinite(heading.t), "headings", "are not valid"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Positions and velocities as receivers and phones give them: held, repeated, incomplete."""
+"""Positions and velocities as receivers and phones give them: held, interpolated, repeated, incomplete."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ __all__ = [
     "LivePlaces",
     "held_places",
     "held_velocities",
+    "interpolated_places",
     "one_per_epoch",
     "velocities_from_fixes",
     "velocity_fault",
@@ -40,6 +41,15 @@ _METRES: Final = math.radians(6_371_000.0)  # m of a degree on the mean sphere
 #: Intervals between positions that a live stream is judged by, and how many are needed.
 _INTERVALS, _FEWEST = 25, 2
 
+
+#: s between positions of usual receivers (1 to 10 Hz), and how many more have to be written for them to be looked for.
+_RECEIVERS, _WRITTEN = (1.0, 0.5, 0.2, 0.1), 4
+#: Which of the positions that may be computed ones are looked at: those where the velocity changes most, so many at
+#: least, where a curve leaves its chord by so many m (tolerances, by hand). Of that, positions between computed ones
+#: that are not interpolated leave it by 0.9 at least (24 s each of bundled and public drives), and in noise by more.
+_MOST, _LEAST, _BENT, _STRAIGHT = 1 / 3, 8, 1e-3, 0.5
+#: s between looks at a live stream, and how many positions they go back (40 s at 100 Hz; tolerances, by hand).
+_LOOK_EVERY, _LOOK_BACK = 5.0, 4000
 
 #: s of driving over which ways are compared, and between velocities beyond which nothing is known of a way
 #: (tolerances, by hand: a phone has a fix a second).
@@ -65,9 +75,7 @@ def velocity_fault(fix: FixData, velocity: VelocityData) -> str:
     own, first = np.unique(velocity.t, return_index=True)
     if t.size < _WAYS or own.size < _WAYS:
         return ""
-    latitude, longitude = fix.latitude[good][order], np.unwrap(fix.longitude[good][order], period=360.0)
-    east = (longitude - longitude[0]) * np.cos(np.radians(latitude[0]))
-    place = _METRES * (east + 1j * (latitude - latitude[0]))
+    place = _plane(fix.latitude[good][order], fix.longitude[good][order])
     motion = velocity.enu[first, 0] + 1j * velocity.enu[first, 1]
     way = np.concatenate([[0.0], np.cumsum(0.5 * (motion[1:] + motion[:-1]) * np.diff(own))])
     holes = np.searchsorted(own[1:][np.diff(own) > _HOLE], t)
@@ -98,6 +106,12 @@ def velocity_fault(fix: FixData, velocity: VelocityData) -> str:
     unit = next((u for u, k in _SPEEDS.items() if 1.0 / _UNIT < ratio / k < _UNIT), "")
     text = f"the velocities are {ratio:.2f} times as fast as the positions move"
     return f"{text}: they come in {unit}, not in m/s" if unit else f"{text}: check their unit"
+
+
+def _plane(latitude: Floats, longitude: Floats) -> NDArray[np.complex128]:
+    """Places (n,) in m from the first one, east + 1j north."""
+    east = np.unwrap(longitude, period=360.0) - longitude[0]
+    return np.asarray(_METRES * (east * np.cos(np.radians(latitude[0])) + 1j * (latitude - latitude[0])))
 
 
 def _size(ways: NDArray[np.complex128]) -> float:
@@ -131,6 +145,55 @@ def held_places(fix: FixData) -> Bools:
     return np.asarray(same & (np.append(moved, False)[run] | ~(own_pace | overdue)))
 
 
+def interpolated_places(fix: FixData) -> Bools:
+    """Which fixes (n,) lie on straight lines between positions that the receiver computed.
+
+    Where the velocity changes by v from one interval of T s to the next, a vehicle leaves the chord of its way by
+    v T / 8; interpolated positions do not. At constant velocity nothing tells them apart, and nothing depends on it.
+    """
+    between = np.zeros(len(fix), dtype=np.bool_)
+    good = np.flatnonzero((fix.status >= 0) & np.isfinite(fix.latitude + fix.longitude))
+    t, order = np.unique(fix.t[good], return_index=True)
+    if t.size < _WRITTEN * _LEAST / _MOST:
+        return between
+    good, step = good[order], float(np.median(np.diff(t)))
+    place = _plane(fix.latitude[good], fix.longitude[good])
+    for interval in _RECEIVERS:
+        if interval < (_WRITTEN - 0.5) * step or t[-1] - t[0] > interval * t.size:
+            break
+        begin = t[0] - 0.5 * step + interval * np.arange((t[-1] - t[0]) // interval + 1.0)
+        offsets = np.arange(0.0, interval, max(step, 0.01 * interval))
+        choices = [np.unique(np.searchsorted(t[:-1], begin + offset)) for offset in offsets]
+        bends = [_bend_between(t, place, c, interval) for c in choices]
+        best = int(np.argmin(bends))
+        if bends[best] < _STRAIGHT:
+            between[good] = True
+            between[good[choices[best]]] = False
+            break
+    return between
+
+
+def _bend_between(
+    t: Floats, place: NDArray[np.complex128], knots: NDArray[np.intp], interval: float
+) -> float:
+    """How far the places between the knots (k,), indices of those that may be computed, leave their chords, in parts of
+    what they would on a curve; infinite where that is too little."""
+    first, last = knots[:-1], knots[1:]
+    whole = np.abs(t[last] - t[first] - interval) < 0.25 * interval
+    whole = whole[1:] & whole[:-1]
+    if whole.sum() < _LEAST:
+        return math.inf
+    speed = (place[last] - place[first]) / (t[last] - t[first])
+    inner = first + ((last - first) * np.array([[1], [2], [3]])) // 4
+    chord = place[first] + speed * (t[inner] - t[first])
+    left = np.abs(place[inner] - chord).max(axis=0)
+    left, curve = np.maximum(left[1:], left[:-1])[whole], np.abs(np.diff(speed))[whole] * interval / 8.0
+    most = np.argsort(curve)[-max(_LEAST, int(_MOST * curve.size)) :]
+    if np.median(curve[most]) < _BENT:
+        return math.inf
+    return float(np.median(left[most]) / np.median(curve[most]))
+
+
 def held_velocities(velocity: VelocityData, stamps: Floats) -> Bools:
     """Which velocities (n,) repeat the one before them at one of the ``stamps`` (k,) s of held places."""
     same = np.concatenate([[False], (np.diff(velocity.enu, axis=0) == 0).all(axis=1)])[: len(velocity)]
@@ -138,16 +201,27 @@ def held_velocities(velocity: VelocityData, stamps: Floats) -> Bools:
 
 
 class LivePlaces:
-    """Tells held places apart as they come, by the same rule, but for what only later places show."""
+    """Tells held and interpolated places apart as they come, by the same rules, but for what only later ones show."""
 
     def __init__(self) -> None:
+        self._recent: deque[tuple[float, ...]] = deque(maxlen=_LOOK_BACK)
+        self._looked = self._computed = -math.inf
+        self._interval = 0.0
         self._place: tuple[float, ...] = ()
         self._t = self._taken = self._changed = -math.inf
         self._lasted: deque[float] = deque(maxlen=_INTERVALS)
 
     def repeats(self, t: float, place: tuple[float, ...]) -> bool:
-        """Whether the next fix is held; ``place`` is all that tells it from another."""
+        """Whether the next fix is held or interpolated; ``place``: latitude, longitude, status."""
         held = False
+        if abs(t - self._t) > _LOOK_EVERY:  # it may go on as another
+            self._interval, self._looked = 0.0, t
+            self._recent.clear()
+        if not self._interval:
+            self._recent.append((t, *place))
+            if t - self._looked > _LOOK_EVERY:
+                self._looked = t
+                self._look()
         if place != self._place:
             if self._place:
                 self._lasted.append(t - self._changed)
@@ -158,11 +232,26 @@ class LivePlaces:
             held = not own_pace and t - self._taken < (1.0 + _OVERDUE) * interval
         if not held:
             self._taken = t
+            if self._interval:
+                ends = t - self._computed + 0.5 * (t - self._t) * np.array([-1.0, 1.0])
+                held = not np.diff(ends // self._interval)
         self._t = t
-        return held
+        return bool(held)
+
+    def _look(self) -> None:
+        """Find the interval and the time of a computed place."""
+        t, latitude, longitude, status = np.array(self._recent).T
+        none = np.zeros((t.size, 3))
+        fix = FixData(t, latitude, longitude, none[:, 0], status, none)
+        fix = fix.select(~held_places(fix))
+        between = interpolated_places(fix)
+        if between.any():
+            own = fix.t[~between]
+            # the last one is the last of the stream
+            self._computed, self._interval = float(own[-2]), float(np.median(np.diff(own)))
 
     def held(self, fix: FixData) -> Bools:
-        """Which of the next fixes (n,) are held, or have the stamp of the one before them."""
+        """Which of the next fixes (n,) are held or interpolated, or have the stamp of the one before them."""
         rows = zip(
             fix.t.tolist(), fix.latitude.tolist(), fix.longitude.tolist(), fix.status.tolist(), strict=True
         )

@@ -27,9 +27,9 @@ QUIET = 0.5
 FILLED = 0.3
 #: Windows on either side of a step at least.
 _LEAST = 4
-#: rad that a road explains: its cross slope of up to 2.5 % (AASHTO, Green Book; RAA) the other way round is 2.9°; and
-#: the half degree by which people who get in or out tilt a car on its springs.
-_CROSS_SLOPE = math.radians(3.5)
+#: rad by which people who get in or out tilt a car on its springs, and what a road explains with it: its cross slope
+#: of up to 2.5 % (AASHTO, Green Book; RAA) the other way round is 2.9°.
+_LOAD, _CROSS_SLOPE = math.radians(0.5), math.radians(3.5)
 #: rad by which slopes of 5 % up and down differ: allowed for where no receiver shows them. Where none shows the speed
 #: either, pulling away and braking with 2 m/s² turn gravity by 2 times 12°.
 _SLOPES, _BLIND = math.radians(6.0), math.radians(24.0)
@@ -123,13 +123,17 @@ def windows_of(t: Floats, force: Floats, quiet: NDArray[np.bool_] | None, slope:
     return Windows(means[:, 0], means[:, 1:4], None if slope is None else means[:, 4], blind)
 
 
-def mounting_change(windows: Windows) -> MountingChange | None:
-    """The turn of the sensor that the windows surely show, if any."""
+def mounting_change(windows: Windows, ahead: Floats | None = None) -> MountingChange | None:
+    """The turn of the sensor that the windows surely show, if any; with the direction ``ahead`` (3,) in its axes of a
+    vehicle whose slope is known that of its pitch alone, which no cross slope explains."""
     length = np.linalg.norm(windows.force, axis=1)
     good = (
         np.abs(length / np.median(length) - 1.0) < 0.2 if length.size else length > 0
     )  # gravity, not a bump
     t, up = windows.t[good], windows.force[good] / length[good, None]
+    if ahead is not None and len(up):
+        level = np.median(up, axis=0)
+        up = level + np.outer((up - level) @ ahead, ahead)
     n = t.size
     if n < 2 * _LEAST:
         return None
@@ -146,7 +150,8 @@ def mounting_change(windows: Windows) -> MountingChange | None:
         allowed = _UNSURE * abs(float(np.median(slope[:k]) - np.median(slope[k:])))
     ends = float(t[max(k - stride, 0)]), float(t[min(k + stride - 1, n - 1)])
     found = MountingChange(_direction(sides[0]), _direction(sides[1]), *ends)
-    if found.angle < max(_CROSS_SLOPE + allowed, _SURE * error):
+    least = _CROSS_SLOPE if ahead is None else _LOAD
+    if found.angle < max(least + allowed, _SURE * error):
         return None
     design = np.column_stack([np.ones(n), t - t[0]])
     line = design @ np.linalg.lstsq(design, up, rcond=None)[0]

@@ -304,7 +304,7 @@ def ingest_drive(drive: Drive, place: Place, settings: ImuSettings | None = None
             climb = ground.slope(t, drive.fix)
             pull[:, 0] += 0.0 if climb is None else reading.gravity * np.sin(climb)
             pull = pull @ turn / reading.scale
-        changes = mounting_changes(t, raw_force - pull, ground, drive.fix)
+        changes = mounting_changes(t, raw_force - pull, ground, drive.fix, turn[0])
     for moment, change in changes:
         findings.append(change.finding(moment, t[0]))
         if not change.slow:
@@ -354,13 +354,20 @@ def ingest_drive(drive: Drive, place: Place, settings: ImuSettings | None = None
 
 
 def mounting_changes(
-    t: Floats, force: Floats, ground: GnssMotion, fix: FixData
+    t: Floats, force: Floats, ground: GnssMotion, fix: FixData, ahead: Floats | None = None
 ) -> list[tuple[float, MountingChange]]:
     """Turns of the sensor in its holder by ``force`` (n, 3) at ``t`` (n,), with the moment of each, in the order in
-    which they are to be turned back; the last one is slow where they go on and on."""
+    which they are to be turned back; the last one is slow where they go on and on. Where the direction ``ahead`` (3,)
+    of the vehicle is known in its axes, small ones in pitch are found, too, while it drives."""
     quiet, slope = ground.quiet(t), ground.slope(t, fix)
     found: list[tuple[float, MountingChange]] = []
-    while (change := mounting_change(windows_of(t, force, quiet, slope))) is not None:
+
+    def pitched() -> MountingChange | None:
+        if ahead is None or quiet is None or slope is None:
+            return None
+        return mounting_change(windows_of(t, force, quiet & (ground.least_speed(t) > FAST), slope), ahead)
+
+    while (change := mounting_change(windows_of(t, force, quiet, slope)) or pitched()) is not None:
         change = replace(change, slow=change.slow or len(found) == MOST_CHANGES)
         moment = change.moment(t, force)
         found.append((moment, change))

@@ -9,13 +9,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from suspension_twin.drive.checks import clean_drive, path_length, rhythm_of, summarise
 from suspension_twin.drive.importing import import_drive
 from suspension_twin.drive.read import read_drive
-from suspension_twin.drive.received import LivePlaces, held_places, one_per_epoch, velocity_fault
+from suspension_twin.drive.received import (
+    LivePlaces,
+    held_places,
+    interpolated_places,
+    one_per_epoch,
+    velocity_fault,
+)
 from suspension_twin.drive.streams import Streams, velocities_from_course, velocities_from_fixes
 from suspension_twin.drive.types import Drive, FixData, ImuData, VelocityData
 from suspension_twin.drive.write import write_drive
@@ -83,6 +89,7 @@ def test_a_receivers_own_positions_stay(rate: float, quantum: float) -> None:
     north = way(np.maximum(t, 0))
     fix = fixes(t, np.round(north / quantum) * quantum if quantum else north)
     held = held_places(fix)
+    assert not interpolated_places(fix).any()
     assert rhythm_of(fix.t[~held]).gaps == () and held.sum() < 0.1 * t.size
     if not quantum:
         assert not held.any()
@@ -112,13 +119,67 @@ def test_live_positions_are_judged_alike() -> None:
     assert live.held(alone.select(np.array([len(alone) - 1]))).all()  # the stamp of the last one again
 
 
+@settings(max_examples=60, deadline=None)
+@given(
+    interval=st.sampled_from([0.5, 1.0]),
+    given_at=st.sampled_from([10.0, 25.0, 50.0, 100.0]),
+    decimals=st.sampled_from([7, 9, 15]),
+    begin=st.floats(0.0, 1.0),
+)
+def test_of_interpolated_positions_the_computed_ones_stay(
+    interval: float, given_at: float, decimals: int, begin: float
+) -> None:
+    """Whatever the rate that they are written at, and with computed ones between two rows, too."""
+    assume(given_at * interval >= 10)  # midway between five rows, little is left to see
+    computed = np.arange(0.0, 61.0, interval)
+    t = np.arange(begin, 60.0, 1 / given_at)
+    fix = fixes(t, np.interp(t, computed, way(computed)))
+    fix = replace(fix, latitude=np.round(fix.latitude, decimals))
+    kept = fix.t[~interpolated_places(fix)] - START
+    assert (
+        kept.size == pytest.approx((60.0 - begin) / interval, abs=2) and np.diff(kept).max() < 1.5 * interval
+    )
+    beside = np.abs(kept / interval - np.round(kept / interval)) * interval
+    assert np.median(beside) < 1.5 / given_at
+
+
+@pytest.mark.parametrize("rate", [10.0, 100.0])
+@pytest.mark.parametrize("quantum", [0.0, 0.011, 0.11, 1.1])
+def test_nothing_is_made_of_a_simulators_exact_ways(rate: float, quantum: float) -> None:
+    """A straight way at constant speed, one around four corners, and a circle."""
+    t = np.arange(0, 120, 1 / rate)
+    along = 8.0 * t % 400.0
+    ways = [
+        (10.0 * t, 0.0 * t),
+        (np.interp(along, [0, 100, 200, 300, 400], [0, 100, 100, 0, 0]), np.clip(along - 100, 0, 100)),
+        (20.0 * np.cos(0.3 * t), 20.0 * np.sin(0.3 * t)),
+    ]
+    for north, east in ways:
+        fix = fixes(t, np.round(north / quantum) * quantum if quantum else north)
+        east = np.round(east / quantum) * quantum if quantum else east
+        fix = replace(fix, longitude=11.0 + METRE * east)
+        assert not interpolated_places(fix).any()
+
+
+@pytest.mark.parametrize("rate", [10.0, 100.0])
+def test_live_positions_that_are_interpolated_are_judged_alike(rate: float) -> None:
+    t, computed = np.arange(0.3, 60, 1 / rate), np.arange(0.0, 61.0)
+    fix = fixes(t, np.interp(t, computed, way(computed)))
+    live = LivePlaces()
+    taken = t[~np.concatenate([live.held(fix.select(np.array([i]))) for i in range(len(fix))])]
+    later = taken[taken > 30.0]  # it has to see some changes of speed first
+    assert later.size == 30 and np.abs(later - np.round(later)).max() < 0.6 / rate
+
+
+@pytest.mark.parametrize("interpolated", [False, True])
 @pytest.mark.parametrize("derived", [False, True])
-def test_held_positions_in_a_table_and_in_a_bag(derived: bool, tmp_path: Path) -> None:
+def test_held_positions_in_a_table_and_in_a_bag(derived: bool, interpolated: bool, tmp_path: Path) -> None:
     t = np.arange(0, 60, 0.02)
     own = np.floor(t)
+    north = way(own) + interpolated * (t - own) * (way(own + 1) - way(own))
     speed = (way(own + 0.5) - way(np.maximum(own - 0.5, 0))) if not derived else None
     velocity = None if speed is None else VelocityData(START + t, np.stack([0 * t, speed, 0 * t], axis=1))
-    drive = drive_of(fixes(t, way(own)), velocity)
+    drive = drive_of(fixes(t, north), velocity)
     write_drive(drive, tmp_path / "bag")
     read = import_drive([tmp_path / "bag"]).drive
     head, rows = "t,ax,ay,az,gx,gy,gz,lat,lon,alt,e,n", []
@@ -138,7 +199,8 @@ def test_held_positions_in_a_table_and_in_a_bag(derived: bool, tmp_path: Path) -
     for found in (read, table):
         figures = summarise(found)
         assert (figures.fix.count, round(figures.fix.rate, 2)) == (60, 1.0) and figures.fix.gaps == ()
-        assert said(found, "2940 of 3000 fixes repeat the position before")
+        fault = "are interpolated between" if interpolated else "repeat the position before"
+        assert said(found, f"2940 of 3000 fixes {fault}")
         assert figures.top_speed < 12.5 and figures.path == pytest.approx(way(np.array([59.0]))[0], rel=0.05)
 
 

@@ -135,6 +135,15 @@ def test_all_topics_of_the_model_are_there_and_what_was_latched_comes(bench, bri
     assert "float64[] band_rms" in seen.channels["/twin/gap"]["schema"]
 
 
+@pytest.mark.parametrize(
+    ("host", "who"), [("127.0.0.1", "(no token: any program"), ("0.0.0.0", "everybody in")]
+)
+def test_the_first_line_says_who_may_read(bench, host, who, capfd):
+    bench.make(FoxgloveBridgeNode, port=0, host=host)
+    (line,) = [text for text in capfd.readouterr().err.splitlines() if "Foxglove" in text]
+    assert f"ws://{host}:" in line and who in line
+
+
 def test_only_what_is_watched_is_listened_to(bench, bridge, viewer):
     publisher = bench.side.create_publisher(String, "words", LATCHED_QOS)
     seen = viewer("/words")

@@ -60,6 +60,7 @@ def bump(repository: Path) -> tuple[Drive, Twin]:
         ((0.0, 0.0, 1.0), 40.0, 34.8),
         ((0.7071, 0.0, -0.7071), 15.0, 50.0),
         ((0.7071, 0.0, -0.7071), -60.0, 34.8),
+        ((1.0, 0.0, 0.0), 3.0, 34.8),  # in pitch
     ],
 )
 def test_a_slip_is_seen_said_and_turned_back(
@@ -93,8 +94,12 @@ def test_a_holder_that_gives_way_all_the_time_is_refused(
 
 @pytest.mark.parametrize("degrees", [-1.5, 0.0, 2.0])
 def test_what_a_road_does_too_is_no_alarm(bump: tuple[Drive, Twin], degrees: float) -> None:
+    """In roll, as a cross slope; in pitch where no altitudes show the slope."""
     drive, twin = bump
-    assert said(with_turn(drive, slips((1.0, 0.0, 0.0), degrees, 34.8)), twin.imu) == []
+    ahead = Rotation.from_euler("xyz", twin.imu.rpy).inv().apply([1.0, 0.0, 0.0])
+    assert said(with_turn(drive, slips(tuple(ahead), degrees, 34.8)), twin.imu) == []
+    flat = replace(drive, fix=replace(drive.fix, altitude=np.full(len(drive.fix), np.nan)))
+    assert said(with_turn(flat, slips((1.0, 0.0, 0.0), degrees, 34.8)), twin.imu) == []
 
 
 def test_the_second_bundled_drive_with_its_ramp_is_no_alarm(repository: Path) -> None:

@@ -78,6 +78,8 @@ def command(
     from suspension_twin.road.recipe import parse_feature
     from suspension_twin.vehicle.twin import Datum, load_twin, save_twin
 
+    if joint is not None and iterations is not None and iterations < 3:
+        raise InputError("--iterations", "the vehicle of --joint is estimated from the third one on")
     written = [out, record_path(out), *(p for p in (joint, picture) if p is not None)]
     if joint is not None and joint.resolve() == twin.resolve():
         raise InputError("--joint", f"{joint} is the twin file that is given: give another name")

@@ -23,6 +23,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 from rosgraph_msgs.msg import Clock as ClockMessage
 
+from suspension_twin.addons.sources.common.connection import is_local
 from suspension_twin.errors import InputError
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.parameters import Param
@@ -77,9 +78,10 @@ class FoxgloveBridgeNode(TwinNode):
             self.create_subscription(ClockMessage, "/clock", self._on_clock, 1)
         self.create_timer(_PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._look()
-        print(
-            f"Foxglove, Lichtblick: open a connection to ws://{self._address()}", file=sys.stderr, flush=True
-        )
+        here = "any program and any website open on this machine"
+        who = here if is_local(self.values["host"]) else f"everybody in the network, and {here},"
+        line = f"Foxglove, Lichtblick: open a connection to ws://{self._address()}"
+        print(f"{line} (no token: {who} may read every topic)", file=sys.stderr, flush=True)
 
     def _address(self) -> str:
         return f"{self.values['host']}:{self.server.port}"

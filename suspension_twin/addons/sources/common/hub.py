@@ -142,7 +142,7 @@ class Device:
         fix = fix.select(good)
         held = self._places.held(fix)
         self._held = fix.t[held]
-        self.counts["fixes that repeat the one before"] += int(held.sum())
+        self.counts["fixes that repeat the one before or are interpolated"] += int(held.sum())
         fix = fix.select(~held)
         if not len(fix):
             return

@@ -145,4 +145,6 @@ def test_the_command_writes_the_vehicle_and_names_open_directions(
     assert load_twin(vehicle).vehicle.mass == twin.vehicle.mass
     assert main([*command, "--out", str(out), "--force", "--joint", str(tmp_path / "twin.yaml")]) == 2
     assert "give another name" in capsys.readouterr().err
+    assert main([*command, "--out", str(out), "--force", "--joint", str(vehicle), "--iterations", "2"]) == 2
+    assert "--iterations: the vehicle of --joint is estimated from the third" in capsys.readouterr().err
     assert read_drive(tmp_path / "drive").imu.t.size == drives[1].imu.t.size
