@@ -77,7 +77,7 @@ FLEET = ["distributed>=2024.5", "dask>=2024.5", "fsspec>=2024.5", "psutil>=5.9",
 FOXGLOVE = ["foxglove-sdk>=0.14"]
 SCAN = ["laspy>=2.5", "lazrs>=0.6", "plyfile>=1.0", "pyproj>=3.6"]
 MDF = ["asammdf>=7.3"]
-DOCS = ["sphinx>=8.1", "docutils>=0.20", "myst-nb>=1.2", "furo>=2024.8", "latex2mathml>=3.77"]
+DOCS = ["sphinx>=8.1", "docutils>=0.20", "myst-nb>=1.2", "furo>=2024.8.6", "latex2mathml>=3.77"]
 
 
 def data_files() -> list[tuple[str, list[str]]]:

@@ -27,6 +27,7 @@ from typing import TypeVar, cast
 
 import numba
 from numba import config, njit
+from numba.core.caching import UserProvidedCacheLocator
 
 __all__ = ["compiled", "compiled_later", "inlined", "linked", "sources", "specialised"]
 
@@ -36,6 +37,14 @@ Function = TypeVar("Function", bound=Callable[..., object])
 _UNUSED = 30 * 86_400.0
 #: The folder is a setting of the process: a thread beside would see that of another, or none while numba reads it.
 _one_folder = threading.Lock()
+
+
+class Locator(UserProvidedCacheLocator):  # type: ignore[misc]
+    """Numba's own, which names a folder after the place of the source as well: a copy or a link would compile anew."""
+
+    @classmethod
+    def get_suitable_cache_subpath(cls, py_file: str) -> str:
+        return ""
 
 
 def compiled(function: Function, modules: Iterable[str] = ()) -> Function:
@@ -52,12 +61,13 @@ def _kept(function: Function, modules: Iterable[str], **options: bool) -> Functi
     """Compile on first call and keep the machine code on disk, where a folder can be written."""
     with _one_folder:
         folder = _cache_folder(function.__module__, tuple(modules))
-        given = config.CACHE_DIR
-        config.CACHE_DIR = str(folder)  # numba reads it while it decorates
+        given = config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES
+        # numba reads both while it decorates
+        config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES = str(folder), f"{__name__}.{Locator.__name__}"
         try:
             return cast(Function, njit(cache=folder is not None, error_model="numpy", **options)(function))
         finally:
-            config.CACHE_DIR = given
+            config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES = given
 
 
 def specialised(function: Function, name: str, **constants: object) -> Function:
