@@ -213,9 +213,10 @@ def lock():
 def lock_oldest():
     """Write the lower bounds of setup.py to constraints.txt: ``--locked`` then installs the oldest that it allows."""
     with open(os.path.join(ROOT, "setup.py")) as file:
-        bounds = re.findall(r'"([\w.-]+)>=([\w.]+)[^";]*(;[^"]*)?"', file.read())
+        found = re.findall(r'"([\w.-]+)>=([\w.]+)[^";]*(;[^"]*)?"', file.read())
+    bounds = {name: "%s==%s%s\n" % (name, version, marker) for name, version, marker in found}
     with open(CONSTRAINTS, "w") as file:
-        file.write("".join("%s==%s%s\n" % bound for bound in bounds))
+        file.write("".join(bounds.values()))
     say("%d versions in %s" % (len(bounds), os.path.relpath(CONSTRAINTS)))
     return 0
 

@@ -27,7 +27,6 @@ from typing import TypeVar, cast
 
 import numba
 from numba import config, njit
-from numba.core.caching import UserProvidedCacheLocator
 
 __all__ = ["compiled", "compiled_later", "inlined", "linked", "sources", "specialised"]
 
@@ -39,7 +38,7 @@ _UNUSED = 30 * 86_400.0
 _one_folder = threading.Lock()
 
 
-class Locator(UserProvidedCacheLocator):  # type: ignore[misc]
+class Locator(numba.core.caching.UserProvidedCacheLocator):  # type: ignore[misc]
     """Numba's own, which names a folder after the place of the source as well: a copy or a link would compile anew."""
 
     @classmethod
@@ -109,8 +108,7 @@ def _cache_folder(module: str, more: tuple[str, ...] = ()) -> Path | None:
 
     In ``NUMBA_CACHE_DIR`` if it is set, else in the package's ``__pycache__``, else in the user's cache.
     """
-    package = sys.modules[module.partition(".")[0]]
-    own, whole = (getattr(m, "__file__", None) for m in (sys.modules[module], package))
+    own, whole = (getattr(sys.modules[m], "__file__", None) for m in (module, module.partition(".")[0]))
     if own is None or whole is None:  # of a notebook
         return None
     root = Path(whole).parent
@@ -120,8 +118,8 @@ def _cache_folder(module: str, more: tuple[str, ...] = ()) -> Path | None:
             for source in sources(file, root):
                 digest.update(f"{os.path.relpath(source, root)}\0".encode() + _digest(source))
     given = config.CACHE_DIR
-    user = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
-    for base in [Path(given)] if given else [root / "__pycache__", user / root.name]:
+    user = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache", root.name).expanduser()
+    for base in [Path(given)] if given else [root / "__pycache__", user]:
         folder = base / "kernels" / f"{module}.{digest.hexdigest()}"
         try:
             known = folder.is_dir()
@@ -140,10 +138,9 @@ def _cache_folder(module: str, more: tuple[str, ...] = ()) -> Path | None:
 
 def _files(module: str, root: Path) -> list[Path]:
     """The file of a module of the package in ``root``; of another package (a plugin's) every file that it has."""
-    file = Path(str(sys.modules[module].__file__))
     top = Path(str(sys.modules[module.partition(".")[0]].__file__))
     if top.parent == root or top.name != "__init__.py":
-        return [file]
+        return [Path(str(sys.modules[module].__file__))]
     return sorted(top.parent.rglob("*.py"))
 
 
@@ -168,10 +165,14 @@ def sources(file: Path, root: Path) -> list[Path]:
 def _imported(file: Path, root: Path) -> tuple[Path, ...]:
     """Files of the package that a file names in its import statements."""
     name = re.escape(root.name)
-    some = rf"from[ \t]+{name}((?:\.\w+)*)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)"
-    whole = rf"import[ \t]+{name}((?:\.\w+)+)"
+    forms = (
+        rf"from[ \t]+{name}((?:\.\w+)*)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)",
+        rf"import[ \t]+{name}((?:\.\w+)+)",
+    )
     found: set[Path] = set()
-    for match in re.finditer(rf"^[ \t]*(?:{some}|{whole})", file.read_text(encoding="utf-8"), re.MULTILINE):
+    for match in re.finditer(
+        rf"^[ \t]*(?:{'|'.join(forms)})", file.read_text(encoding="utf-8"), re.MULTILINE
+    ):
         folder = root.joinpath(*filter(None, (match[1] or match[3] or "").split(".")))
         names = re.findall(r"\w+", match[2] or "")
         found |= {folder.with_suffix(".py"), folder / "__init__.py", *(folder / f"{n}.py" for n in names)}
