@@ -9,8 +9,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 SKIPPING = """
 import pytest
 
@@ -22,6 +20,7 @@ def test_it(reason):
         pytest.skip(reason)
 """
 WITHOUT = [
+    "",
     "no measured data: one",
     "no measured data: another",
     "too old a file",
@@ -31,23 +30,8 @@ WITHOUT = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("reasons", "lines"),
-    [
-        ([""], []),
-        (
-            WITHOUT,
-            [
-                "skipped: 2 no measured data, 1 too old a file, 1 no browser here, 1 no C# here, "
-                "1 could not import 'no_such_module'; "
-                "missing: apt-get install chromium mono-mcs mono-runtime && pip install -e.[test]"
-            ],
-        ),
-    ],
-    ids=["nothing", "some"],
-)
-def test_it_is_one_line(reasons: list[str], lines: list[str], repository: Path, tmp_path: Path) -> None:
-    (tmp_path / "test_some.py").write_text(SKIPPING.format(reasons=reasons))
+def test_it_is_one_line(repository: Path, tmp_path: Path) -> None:
+    (tmp_path / "test_some.py").write_text(SKIPPING.format(reasons=WITHOUT))
     shutil.copy(repository / "test" / "conftest.py", tmp_path)
     command = [
         sys.executable,
@@ -62,4 +46,9 @@ def test_it_is_one_line(reasons: list[str], lines: list[str], repository: Path, 
     ]
     done = subprocess.run([*command, str(tmp_path)], capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert [line for line in done.stdout.splitlines() if line.startswith("skipped")] == lines
+    (line,) = [line for line in done.stdout.splitlines() if line.startswith("skipped")]
+    assert line == (
+        "skipped: 2 no measured data, 1 too old a file, 1 no browser here, 1 no C# here, "
+        "1 could not import 'no_such_module'; "
+        "missing: apt-get install chromium mono-mcs mono-runtime && pip install -e.[test]"
+    )
