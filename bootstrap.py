@@ -11,6 +11,7 @@
     python3 bootstrap.py COMMAND ...    any other command of suspension-twin
     python3 bootstrap.py --locked ...   the same, with the versions of constraints.txt alone
     python3 bootstrap.py lock           write the versions in .venv to constraints.txt, for this Python
+    python3 bootstrap.py lock --oldest  write the oldest versions that setup.py allows to constraints.txt
 
 The first run makes a virtual environment in .venv and installs everything into it, later runs
 start at once. Needs Python 3.10 to 3.13, git and g++ on x86-64 Linux.
@@ -66,6 +67,8 @@ def main(arguments):
     if not arguments or arguments[0] in ("-h", "--help"):
         (sys.stdout if arguments else sys.stderr).write(__doc__)
         return 0 if arguments else 2
+    if arguments == ["lock", "--oldest"]:
+        return lock_oldest()
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # so that pip ends with this
     locked_versions = arguments[0] == "--locked"
     try:
@@ -204,6 +207,17 @@ def lock():
         file.write("".join("%s\n" % line for line in sorted(kept + lines)))
     os.rename(CONSTRAINTS + ".new", CONSTRAINTS)
     say("%d versions in %s" % (len(lines), os.path.relpath(CONSTRAINTS)))
+    return 0
+
+
+def lock_oldest():
+    """Write the lower bounds of setup.py to constraints.txt: ``--locked`` then installs the oldest that it allows."""
+    with open(os.path.join(ROOT, "setup.py")) as file:
+        found = re.findall(r'"([\w.-]+)>=([\w.]+)[^";]*(;[^"]*)?"', file.read())
+    bounds = {name: "%s==%s%s\n" % (name, version, marker) for name, version, marker in found}
+    with open(CONSTRAINTS, "w") as file:
+        file.write("".join(bounds.values()))
+    say("%d versions in %s" % (len(bounds), os.path.relpath(CONSTRAINTS)))
     return 0
 
 

@@ -22,9 +22,9 @@ NODES = {
 REQUIRED = [
     "suspension-twin-interfaces",  # brings rclpy and the ROS messages, see suspension_twin_interfaces/setup.py
     "numpy>=1.26",
-    "scipy>=1.11",
+    "scipy>=1.11.1",
     "threadpoolctl>=3.1",
-    "llvmlite>=0.41",
+    "llvmlite>=0.50",
     "numba>=0.68",
     "pydantic>=2.7",
     "pyyaml>=6",
@@ -43,8 +43,8 @@ REQUIRED = [
     "aiohttp>=3.10",
     "paho-mqtt>=2.1",
     "segno>=1.6",
-    "pyubx2>=1.2.48",
-    "pynmeagps>=1.0.40",
+    "pyubx2>=1.3.3",
+    "pynmeagps>=1.1.4",
     "jinja2>=3.1",
     "markupsafe>=2.1",
     "typer>=0.24",
@@ -54,7 +54,8 @@ TEST = [
     "pytest>=8",
     "pytest-xdist>=3.7",
     "hypothesis>=6.100",
-    "amqtt>=0.11",
+    "amqtt>=0.12",
+    "pyyaml>=6.0.2",  # amqtt's own bound
     "playwright>=1.49",
     "mujoco>=3.3",
     "pythonfmu>=0.7",
@@ -62,7 +63,7 @@ TEST = [
     "etils<1.14; python_version < '3.11'",
     "objective-rating-metrics>=1.3",
     "pandas>=2.2",
-    "cosmic-ray>=8.4",
+    "cosmic-ray>=8.4.1",
     "duckdb>=1.0",
     "colcon-ros>=0.4",
     "colcon-package-information>=0.3",
@@ -72,13 +73,13 @@ TEST = [
     "scipy-stubs",
     "types-PyYAML",
 ]
-FMU = ["fmpy>=0.3.32"]
-FLEET = ["distributed>=2024.5", "dask>=2024.5", "fsspec>=2024.5", "psutil>=5.9", "pyarrow>=15"]
+FMU = ["fmpy>=0.3.22"]
+FLEET = ["distributed>=2024.5", "dask>=2024.5", "fsspec>=2024.5", "psutil>=7.0", "pyarrow>=15"]
 FOXGLOVE = ["foxglove-sdk>=0.14"]
 SCAN = ["laspy>=2.5", "lazrs>=0.6", "plyfile>=1.0", "pyproj>=3.6"]
 MDF = ["asammdf>=7.3"]
 TDMS = ["npTDMS>=1.7"]
-DOCS = ["sphinx>=8.1", "docutils>=0.20", "myst-nb>=1.2", "furo>=2024.8", "latex2mathml>=3.77"]
+DOCS = ["sphinx>=8.1", "docutils>=0.20", "myst-nb>=1.2", "furo>=2024.8.6", "latex2mathml>=3.77"]
 
 
 def data_files() -> list[tuple[str, list[str]]]:

@@ -38,6 +38,14 @@ _UNUSED = 30 * 86_400.0
 _one_folder = threading.Lock()
 
 
+class Locator(numba.core.caching.UserProvidedCacheLocator):  # type: ignore[misc]
+    """Numba's own, which names a folder after the place of the source as well: a copy or a link would compile anew."""
+
+    @classmethod
+    def get_suitable_cache_subpath(cls, py_file: str) -> str:
+        return ""
+
+
 def compiled(function: Function, modules: Iterable[str] = ()) -> Function:
     """Compile on first call, without the GIL, and keep the machine code on disk.
 
@@ -52,12 +60,13 @@ def _kept(function: Function, modules: Iterable[str], **options: bool) -> Functi
     """Compile on first call and keep the machine code on disk, where a folder can be written."""
     with _one_folder:
         folder = _cache_folder(function.__module__, tuple(modules))
-        given = config.CACHE_DIR
-        config.CACHE_DIR = str(folder)  # numba reads it while it decorates
+        given = config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES
+        # numba reads both while it decorates
+        config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES = str(folder), f"{__name__}.{Locator.__name__}"
         try:
             return cast(Function, njit(cache=folder is not None, error_model="numpy", **options)(function))
         finally:
-            config.CACHE_DIR = given
+            config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES = given
 
 
 def specialised(function: Function, name: str, **constants: object) -> Function:
@@ -99,8 +108,7 @@ def _cache_folder(module: str, more: tuple[str, ...] = ()) -> Path | None:
 
     In ``NUMBA_CACHE_DIR`` if it is set, else in the package's ``__pycache__``, else in the user's cache.
     """
-    package = sys.modules[module.partition(".")[0]]
-    own, whole = (getattr(m, "__file__", None) for m in (sys.modules[module], package))
+    own, whole = (getattr(sys.modules[m], "__file__", None) for m in (module, module.partition(".")[0]))
     if own is None or whole is None:  # of a notebook
         return None
     root = Path(whole).parent
@@ -110,8 +118,8 @@ def _cache_folder(module: str, more: tuple[str, ...] = ()) -> Path | None:
             for source in sources(file, root):
                 digest.update(f"{os.path.relpath(source, root)}\0".encode() + _digest(source))
     given = config.CACHE_DIR
-    user = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
-    for base in [Path(given)] if given else [root / "__pycache__", user / root.name]:
+    user = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache", root.name).expanduser()
+    for base in [Path(given)] if given else [root / "__pycache__", user]:
         folder = base / "kernels" / f"{module}.{digest.hexdigest()}"
         try:
             known = folder.is_dir()
@@ -130,10 +138,9 @@ def _cache_folder(module: str, more: tuple[str, ...] = ()) -> Path | None:
 
 def _files(module: str, root: Path) -> list[Path]:
     """The file of a module of the package in ``root``; of another package (a plugin's) every file that it has."""
-    file = Path(str(sys.modules[module].__file__))
     top = Path(str(sys.modules[module.partition(".")[0]].__file__))
     if top.parent == root or top.name != "__init__.py":
-        return [file]
+        return [Path(str(sys.modules[module].__file__))]
     return sorted(top.parent.rglob("*.py"))
 
 
@@ -158,10 +165,14 @@ def sources(file: Path, root: Path) -> list[Path]:
 def _imported(file: Path, root: Path) -> tuple[Path, ...]:
     """Files of the package that a file names in its import statements."""
     name = re.escape(root.name)
-    some = rf"from[ \t]+{name}((?:\.\w+)*)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)"
-    whole = rf"import[ \t]+{name}((?:\.\w+)+)"
+    forms = (
+        rf"from[ \t]+{name}((?:\.\w+)*)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)",
+        rf"import[ \t]+{name}((?:\.\w+)+)",
+    )
     found: set[Path] = set()
-    for match in re.finditer(rf"^[ \t]*(?:{some}|{whole})", file.read_text(encoding="utf-8"), re.MULTILINE):
+    for match in re.finditer(
+        rf"^[ \t]*(?:{'|'.join(forms)})", file.read_text(encoding="utf-8"), re.MULTILINE
+    ):
         folder = root.joinpath(*filter(None, (match[1] or match[3] or "").split(".")))
         names = re.findall(r"\w+", match[2] or "")
         found |= {folder.with_suffix(".py"), folder / "__init__.py", *(folder / f"{n}.py" for n in names)}

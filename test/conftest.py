@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -59,6 +61,25 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         left_out = [item for item in items if item.get_closest_marker(mark)]
         items[:] = [item for item in items if not item.get_closest_marker(mark)]
         config.hook.pytest_deselected(items=left_out)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """One line: what was skipped, and the command that installs what was missing. A reason names after its colon what
+    would install it; what cannot be imported comes with the extra ``test``."""
+    why: Counter[str] = Counter()
+    missing: dict[str, set[str]] = {"apt-get": set(), "pip": set()}
+    for report in terminalreporter.stats.get("skipped", []):
+        text, _, remedy = str(report.longrepr[2]).removeprefix("Skipped: ").partition(": ")
+        why[text] += 1
+        remedy = "pip install -e.[test]" if remedy.startswith("No module named") else remedy
+        for tool, names in re.findall("(apt-get|pip) install (.*)", remedy):
+            missing[tool] |= set(names.split())
+    steps = [f"{tool} install {' '.join(sorted(names))}" for tool, names in missing.items() if names]
+    if why:
+        counts = ", ".join(f"{count} {text}" for text, count in why.most_common())
+        terminalreporter.write_line(
+            "; missing: ".join([f"skipped: {counts}", *filter(None, [" && ".join(steps)])])
+        )
 
 
 @pytest.fixture(scope="session")

@@ -23,7 +23,7 @@ def test_a_version_agrees_with_itself_and_a_changed_answer_is_a_difference(
 
     cases, out = tmp_path / "cases", tmp_path / "answers.json"
     made = golden("make", str(cases), "--smoke")
-    assert made.returncode == 0, made.stderr
+    assert made.returncode == 0 and "smoke_rig made in" in made.stdout, made.stderr
     taken = golden("capture", str(cases), "--out", str(out), "--smoke")
     assert taken.returncode == 0, taken.stderr
     assert golden("compare", str(out), str(out)).returncode == 0

@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import math
-import subprocess
 import sys
-from pathlib import Path
+from functools import cache
 from typing import Any
 
 import pytest
@@ -42,17 +43,29 @@ TABLES = {"effects", "cost_against_lanes", "cost_against_length_s", "linear_car"
 
 
 @pytest.fixture(scope="module")
-def figures(repository: Path) -> Any:
-    script = repository / "benchmarks" / "models.py"
-    done = subprocess.run(
-        [sys.executable, script, "--smoke", "--json"],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=600,
-        cwd=repository,
-    )
-    return json.loads(done.stdout)
+def said() -> list[str]:
+    """What the program prints for people and with ``--json``, of figures that are measured once."""
+    import models
+
+    out = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(models, "measure", cache(models.measure))
+        for options in ([], ["--json"]):
+            patch.setattr(sys, "argv", ["models.py", "--smoke", *options])
+            with contextlib.redirect_stdout(io.StringIO()) as text:
+                models.main()
+            out.append(text.getvalue())
+    return out
+
+
+@pytest.fixture(scope="module")
+def figures(said: list[str]) -> Any:
+    return json.loads(said[1])
+
+
+@pytest.mark.long
+def test_the_tables_are_for_people(said: list[str]) -> None:
+    assert "effect in every lane" in said[0] and "against MuJoCo per core" in said[0]
 
 
 @pytest.mark.long

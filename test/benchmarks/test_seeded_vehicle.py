@@ -26,7 +26,7 @@ def source() -> Path:
     beside = BENCHMARKS.parents[1] / "shared" / "withheld"
     folder = Path(os.environ.get("SUSPENSION_TWIN_WITHHELD", str(beside))) / "no_effect_added"
     if not folder.is_dir():
-        pytest.skip(f"no drives of a multibody car in {folder.parent}")
+        pytest.skip(f"no measured data: drives of a multibody car in {folder.parent}")
     return folder
 
 

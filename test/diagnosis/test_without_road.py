@@ -22,7 +22,7 @@ ROOF = "rtklibexplorer_GNSS_IMU"
 def recorded(folder: Path, repository: Path, mapping: str) -> Drive:
     """A recording among the measured data."""
     if not folder.is_dir():
-        pytest.skip(f"no {folder.name} among the measured data")
+        pytest.skip(f"no measured data: {folder.name}")
     return import_drive([folder], mapping=repository / "config" / "import" / f"{mapping}.yaml").drive
 
 

@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 import textwrap
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -38,8 +39,8 @@ def sections(repository: Path) -> dict[str, str]:
 
 
 @pytest.fixture
-def copy(repository: Path, tmp_path: Path) -> Path:
-    """A copy of the repository in which the steps are followed."""
+def copy(repository: Path, tmp_path: Path, copy_kernels: Callable[..., None]) -> Path:
+    """A copy of the repository in which the steps are followed, with the machine code that is there."""
     built = shutil.ignore_patterns("__pycache__", "build", "*.egg-info", "*.so")
     for name in COPIED:
         if (repository / name).is_dir():
@@ -47,6 +48,7 @@ def copy(repository: Path, tmp_path: Path) -> Path:
         else:
             shutil.copy(repository / name, tmp_path)
     (tmp_path / "bags").symlink_to(repository / "bags")
+    copy_kernels(tmp_path / "suspension_twin" / "__pycache__")
     return tmp_path
 
 

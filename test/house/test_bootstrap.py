@@ -139,6 +139,16 @@ def test_versions_are_written_for_this_python_alone(bootstrap: ModuleType, clone
     assert not any("://" in line or "@" in line or "suspension" in line for line in lines)
 
 
+def test_the_oldest_versions_are_the_lower_bounds_and_the_last_of_a_name_counts(
+    bootstrap: ModuleType, clone: Path
+) -> None:
+    text = """["one>=1.2", "two>=3,<4", "three>=1; python_version < '3.11'", "four", "six<7", "one>=1.10"]"""
+    (clone / "setup.py").write_text(text)
+    assert bootstrap.main(["lock", "--oldest"]) == 0
+    lines = (clone / "constraints.txt").read_text().splitlines()
+    assert lines == ["one==1.10", "two==3", "three==1; python_version < '3.11'"]
+
+
 def test_the_versions_that_are_kept_are_of_every_python_and_name_no_address(
     bootstrap: ModuleType, repository: Path
 ) -> None:

@@ -56,9 +56,13 @@ def test_a_result_is_older_where_what_its_program_imports_has_changed(
     assert results.older(tmp_path) == []
     commit(tmp_path, 4, suspension_twin__b="x = 1")
     assert results.older(tmp_path) == []
-    commit(tmp_path, 5, suspension_twin__a="x = 1", benchmarks__results__other_seeds="{ }")
+    commit(tmp_path, 5, suspension_twin__a='"""What a holds."""\n# and why\n')
+    assert results.older(tmp_path) == []
+    commit(tmp_path, 6, suspension_twin__a="x = 1", benchmarks__results__other_seeds="{ }")
     (line,) = results.older(tmp_path)
-    assert line.startswith("one.json: of 2026-01-03") and "the code of one.py is of 2026-01-05" in line
+    assert line.startswith("one.json: of 2026-01-03") and line.endswith(
+        "one.py has changed: suspension_twin/a.py"
+    )
 
 
 def test_every_result_has_a_benchmark(results: ModuleType, repository: Path) -> None:

@@ -22,7 +22,7 @@ DATA = Path(os.environ.get("SUSPENSION_TWIN_WITHHELD", str(ROOT.parent / "shared
 @pytest.fixture(scope="module")
 def figures(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     if not (DATA / "no_effect_added" / "twin.yaml").is_file():
-        pytest.skip(f"no drives of a multibody car under {DATA}")
+        pytest.skip(f"no measured data: drives of a multibody car under {DATA}")
     out = tmp_path_factory.mktemp("multibody")
     run = subprocess.run(
         [

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-pytest.importorskip("foxglove", reason="foxglove-sdk is not installed")
+pytest.importorskip("foxglove")
 
 from aiohttp import ClientSession, WSMsgType
 from geometry_msgs.msg import PoseStamped

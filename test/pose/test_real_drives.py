@@ -54,7 +54,7 @@ def rtk(shared_data: Path, repository: Path) -> tuple[Drive, ImuSignals, Traject
     rear axle, which its lateral speed bears out."""
     folder = shared_data / "rtklibexplorer_GNSS_IMU"
     if not folder.is_dir():
-        pytest.skip("no rtklibexplorer_GNSS_IMU among the measured data")
+        pytest.skip("no measured data: rtklibexplorer_GNSS_IMU")
     mapping = repository / "config" / "import" / "rtklibexplorer_gnss_imu.yaml"
     drive = import_drive([folder], mapping=mapping).drive
     imu = Place(position=(0.0, 0.0, 1.5), rpy=(0.0111, -0.1180, 3.0476))
@@ -178,7 +178,7 @@ def test_the_rtk_drive_with_a_phone_s_receiver(rtk: tuple) -> None:
 def test_comma2k19_speed_against_the_wheels(shared_data: Path, repository: Path) -> None:
     folder = shared_data / "comma2k19_Example_1"
     if not folder.is_dir():
-        pytest.skip("no comma2k19_Example_1 among the measured data")
+        pytest.skip("no measured data: comma2k19_Example_1")
     drive = import_drive([folder], mapping=repository / "config" / "import" / "comma2k19.yaml").drive
     imu, gps = Place(position=(2.0, 0.0, 1.2)), Place(frame="gps_link", position=(2.0, 0.0, 1.2))
     fix = drive.fix
@@ -204,7 +204,7 @@ def test_comma2k19_speed_against_the_wheels(shared_data: Path, repository: Path)
 def test_husky_at_thirty_hertz_is_located_but_told_too_slow(shared_data: Path, repository: Path) -> None:
     folder = shared_data / "robot_localization_bags"
     if not (folder / "test1.bag").is_file():
-        pytest.skip("no robot_localization_bags among the measured data")
+        pytest.skip("no measured data: robot_localization_bags")
     mapping = repository / "config" / "import" / "robot_localization_test1.yaml"
     drive = import_drive([folder / "test1.bag"], mapping=mapping).drive
     imu = Place(position=(0.2, 0.0, 0.5), rpy=(math.pi / 2, 0.0, 0.0))  # gravity on +y
@@ -224,7 +224,7 @@ def test_multibody_car_against_its_own_truth(shared_data: Path, name: str) -> No
     """RTK at 10 Hz, 15 mm: the smoothed pose within a centimetre along the road, the live one within two."""
     folder = shared_data.parent / "withheld" / "no_effect_added"
     if not folder.is_dir():
-        pytest.skip("no drives of the multibody car beside the measured data")
+        pytest.skip("no measured data: drives of the multibody car")
     twin = load_twin(folder / "twin.yaml")
     assert twin.datum is not None
     drive = read_drive(folder / name)

@@ -118,7 +118,7 @@ def measured(request: pytest.FixtureRequest, shared_data: Path, repository: Path
         ),
     }[request.param]
     if not (shared_data / name).is_dir():
-        pytest.skip(f"no {name} among the measured data")
+        pytest.skip(f"no measured data: {name}")
     return import_drive([shared_data / name], mapping=mapping).drive, Place(position=(0.0, 0.0, 1.2), rpy=rpy)
 
 

@@ -87,7 +87,7 @@ def sliced(w: Floats) -> None:
     w[0] = np.sum(w)
 
 
-@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler here: apt-get install gcc")
 @pytest.mark.parametrize("fixed", [False, True])
 def test_it_computes_what_python_computes(fixed: bool, tmp_path: Path) -> None:
     translation = Translation(C)

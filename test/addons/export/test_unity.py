@@ -56,7 +56,10 @@ static class Program
 SEEN = [0, 2, 26, 23, 9, 18, 7]  # of the outputs, in the order of the program
 
 
-@pytest.mark.skipif(not (shutil.which("mcs") and shutil.which("mono")), reason="no C# compiler: mcs and mono")
+_MONO = shutil.which("mcs") and shutil.which("mono")
+
+
+@pytest.mark.skipif(not _MONO, reason="no C# here: apt-get install mono-mcs mono-runtime")
 @pytest.mark.parametrize("model", ["msd", "full_car"])
 def test_the_class_is_the_twin(model: str, mondeo: Twin, tmp_path: Path) -> None:
     specs = {"msd": [], "full_car": [{"id": "strut_friction", "parameters": {"front_force": 90.0}}]}[model]

@@ -19,8 +19,9 @@ import pytest
 from suspension_twin.addons.fleet.storage import identity, outline
 from suspension_twin.cli.main import main
 
-s3fs = pytest.importorskip("s3fs")
-pytest.importorskip("moto.server")
+_MISSING = "no S3 here: pip install s3fs moto[server]"
+s3fs = pytest.importorskip("s3fs", reason=_MISSING)
+pytest.importorskip("moto.server", reason=_MISSING)
 
 CHEAP = ("--max-generations", "1", "--freeze", "vehicle.front.spring", "--freeze", "vehicle.rear.spring")
 

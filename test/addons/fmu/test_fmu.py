@@ -36,7 +36,7 @@ from suspension_twin.pose.types import Trajectory
 from suspension_twin.road import load_road
 from suspension_twin.vehicle.twin import Twin, load_twin, parse_twin, save_twin
 
-pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler here: apt-get install gcc")
 
 MOTION = [
     "heave",

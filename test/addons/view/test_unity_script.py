@@ -15,7 +15,9 @@ from suspension_twin.addons.view.axes import to_unity
 from suspension_twin.addons.view.frames import FramePoses
 
 MCS, MONO = shutil.which("mcs"), shutil.which("mono")
-pytestmark = pytest.mark.skipif(not (MCS and MONO), reason="no C# here: apt-get install mono-mcs")
+pytestmark = pytest.mark.skipif(
+    not (MCS and MONO), reason="no C# here: apt-get install mono-mcs mono-runtime"
+)
 
 #: What of Unity, of ROS-TCP-Connector and of its generated messages the script uses, and a program that is its scene.
 STAND_INS = """
