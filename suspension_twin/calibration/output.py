@@ -54,9 +54,10 @@ def write_result(result: CalibrationResult, path: Path) -> tuple[Path, Path]:
     (PosixPath('calibrated.yaml'), PosixPath('calibrated.calibration.yaml'))
     """
     if result.is_worse:
-        gaps = ", ".join(f"{d.name} {d.gap_before.rms:.3g} to {d.gap_after.rms:.3g}" for d in result.drives)
+        how = ", ".join(f"{d.name} {d.gap_before.rms:.3g} to {d.gap_after.rms:.3g}" for d in result.drives)
+        how += f"; {result.yardstick}" if result.yardstick is not None and result.yardstick.is_worse else ""
         raise WorkError(
-            f"no twin is written, the calibrated one is farther from its drives than the given one ({gaps}): something "
+            f"no twin is written, the calibrated one is farther from its drives than the given one ({how}): something "
             "other than the free parameters is off, such as place, clock, speed or the road; diagnose says which"
         )
     details = details_path(path)
@@ -152,7 +153,7 @@ def _explained(result: CalibrationResult) -> Json | None:
     measure = result.yardstick
     if measure is None:
         return None
-    shares = {name: _number(getattr(measure, name)) for name in ("twin", "linear", "repeat")}
+    shares = {name: _number(getattr(measure, name)) for name in ("twin", "given", "linear", "repeat")}
     return {"channel": measure.channel, "held_out": measure.held_out, **shares}
 
 

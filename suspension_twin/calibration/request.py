@@ -181,12 +181,13 @@ class SensorEstimate:
 @dataclass(frozen=True)
 class Yardstick:
     """Share of the variance of a ``channel`` that is explained on ``held_out`` parts of the data: by the calibrated
-    ``twin``, by a ``linear`` model that was fitted to the same parts, and by a ``repeat`` of the same run; NaN for what
-    there is not."""
+    ``twin``, by the ``given`` twin with its own nuisances, by a ``linear`` model that was fitted to the same parts, and
+    by a ``repeat`` of the same run; NaN for what there is not."""
 
     channel: str
     held_out: str
     twin: float
+    given: float
     linear: float
     repeat: float
 
@@ -195,10 +196,19 @@ class Yardstick:
         """Whether the linear model explains more, by more than a thousandth of the variance."""
         return self.linear > self.twin + 1e-3
 
+    @property
+    def is_worse(self) -> bool:
+        """Whether the given twin explains more, by more than a thousandth of the variance."""
+        return self.given > self.twin + 1e-3
+
     def __str__(self) -> str:
         others = [
             f"{words} {100 * value:.1f} %"
-            for words, value in (("a linear model", self.linear), ("one repeat of another", self.repeat))
+            for words, value in (
+                ("the given twin", self.given),
+                ("a linear model", self.linear),
+                ("one repeat of another", self.repeat),
+            )
             if np.isfinite(value)
         ]
         beside = f" ({', '.join(others)})" if others else ""
@@ -333,9 +343,10 @@ class CalibrationResult(SearchSummary, Estimates):
     @property
     def is_worse(self) -> bool:
         """Whether the calibrated twin is farther from its own drives than the one it started from, all together, even
-        with the nuisances as they were found."""
+        with the nuisances as they were found, or explains less of what it was not fitted to."""
         after = sum(min(d.gap_after.rms, d.nuisance_free) ** 2 for d in self.drives)
-        return after > sum(d.gap_before.rms**2 for d in self.drives)
+        held_out = self.yardstick is not None and self.yardstick.is_worse
+        return held_out or after > sum(d.gap_before.rms**2 for d in self.drives)
 
     @property
     def counts(self) -> dict[str, int]:
