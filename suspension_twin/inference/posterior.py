@@ -2,8 +2,8 @@
 """Uncertainty: posterior, intervals and excited ranges of the parameters.
 
 The posterior about the best fit is Gaussian in slope coordinates (Laplace), with the curvature of whitened residuals.
-It is widened where the fit moves more when a block of road is left out, with all channels and passes of it (jackknife):
-model discrepancy is the same on every pass. The static compression of a spring is a direction in which Laplace fails:
+It is widened where the fit moves more when a second is left out, with all channels of it (jackknife): model discrepancy
+is correlated over that time. The static compression of a spring is a direction in which Laplace fails:
 the likelihood is evaluated on a grid there (``spring_position``). Intervals of forces are quantiles of draws."""
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.inference.noise import Whitener
+from suspension_twin.inference.objectives import Measured
 from suspension_twin.inference.problem import CORRELATION, Noise, Problem
 from suspension_twin.inference.space import Curve
 from suspension_twin.inference.spring_position import Slide, changes, slides
@@ -26,6 +27,7 @@ __all__ = ["DRAWS", "Posterior", "Travel", "posterior", "span_of", "travel"]
 
 #: Draws of a posterior: the ends of a 90 % interval to 3 % of a standard deviation.
 DRAWS = 4000
+_BLOCK_SECONDS = 1.0
 _REACHED = 0.05  # s that have to lie beyond a point before it counts as excited
 
 
@@ -102,17 +104,19 @@ def posterior(
 ) -> Posterior:
     """The posterior around ``x`` (d + q,), the best fit with a ``noise`` model and the prior ``precision``.
 
-    ``doubt`` (d + q,) is one more standard deviation, of all coordinates together.
+    ``doubt`` (d + q,), or (k, d + q), is one more standard deviation, or k, of all coordinates together.
     """
     fit = problem.weighed(noise)
     at = fit.linearise(x)
     residual, jacobian = at.residual, at.jacobian
     information = jacobian.T @ jacobian + precision
-    sample = noise.row if isinstance(noise, Whitener) else np.arange(residual.size) % len(problem.data.block)
+    seconds = _seconds(problem.measured)
+    sample = noise.row if isinstance(noise, Whitener) else np.arange(residual.size) % seconds.size
     inverse = np.asarray(np.linalg.inv(information), dtype=np.float64)
-    covariance = _widened(inverse, jacobian, residual, precision, problem.data.block[sample])
+    covariance = _widened(inverse, jacobian, residual, precision, seconds[sample])
     if doubt is not None:
-        covariance = covariance + np.outer(doubt, doubt)
+        each = np.atleast_2d(doubt)
+        covariance = covariance + each.T @ each
     d = len(problem.space)
     rng = np.random.default_rng(seed)
     root = np.linalg.cholesky(covariance[:d, :d] + 1e-14 * np.eye(d))
@@ -137,6 +141,16 @@ def posterior(
     z = middle + scatter
     draws = problem.space.from_slopes(z)
     return Posterior(draws, np.sqrt(np.diag(covariance)[d:]), covariance, better)
+
+
+def _seconds(measured: Measured) -> NDArray[np.intp]:
+    """(M,) number of the block of a second that each compared sample belongs to, from 0 on."""
+    size, count, blocks = max(8, int(_BLOCK_SECONDS * measured.rate)), 0, []
+    for s in measured.segments:
+        own = np.minimum(np.arange(s.stop - s.start) // size, max((s.stop - s.start) // size - 1, 0))
+        blocks.append(count + own)
+        count += int(own[-1]) + 1
+    return np.concatenate(blocks)
 
 
 def _widened(

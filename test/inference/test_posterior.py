@@ -116,7 +116,7 @@ def asked(
     **options: Any,
 ) -> Posterior:
     problem: Any = Straight(space, precision.shape[0] - len(space), rate, fails)
-    problem.data = SimpleNamespace(block=np.arange(len(lines.a)) // int(RATE))
+    problem.measured.segments = (slice(0, len(lines.a)),)
     at = lines.centre if x is None else x
     return posterior(problem, lines, at, precision, where or standing(), options.pop("seed", 1), **options)
 
