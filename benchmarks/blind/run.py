@@ -183,9 +183,7 @@ def main() -> None:
 
     cases = chosen(options)
     if options.stage in ("generate", "all"):
-        generate(
-            cases, options.out, options.jobs, tell, options.rate, options.jitter, options.receiver
-        )
+        generate(cases, options.out, options.jobs, tell, options.rate, options.jitter, options.receiver)
     if options.stage in ("diagnose", "all"):
         diagnose(cases, options.out, tell)
     if options.stage in ("score", "all"):

@@ -102,11 +102,9 @@ def assess(setup: Setup, outcome: SearchOutcome, seed: int) -> Uncertainty:
             status=status,
         )
         if held is not x:
-            # how far the others moved is what the choice of the kept ones is unsure by (Buckland et al. 1997)
-            doubts = np.stack([held - x] if doubt is None else [doubt, held - x])
             x = held
             found = posterior(
-                problem, weighing, x, precision, _travel_at(setup, problem, x), seed, doubt=doubts
+                problem, weighing, x, precision, _travel_at(setup, problem, x), seed, doubt=doubt
             )
     low, high = np.quantile(found.draws, INTERVAL, axis=1)
     # What is reported belongs to its interval, also where another objective found it at the end of a valley.

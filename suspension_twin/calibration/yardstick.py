@@ -5,8 +5,9 @@ Explained variance of the main channel, 1 - var(measured - simulated) / var(meas
 held out in turn: whole runs, both halves of a single run, or every fifth block of road; where one bump makes most of
 the motion, so that the road without it shows nothing, whole passes. The twin without a part is one Gauss-Newton step
 from the fit to all data; where the drive was and how its sensor read it stays as found in all of it, for this is found
-anew on every drive. Beside it stand the given twin, place and sensor fitted to all data, and, fitted to the same parts: for a rig the linear corner of
-``inference.linear_corner``, for a car the twin with straight springs and dampers; and what a run explains of a repeat.
+anew on every drive. Beside it stand the given twin, place and sensor fitted to all data, and, fitted to the same parts:
+for a rig the linear corner of ``inference.linear_corner``, for a car the twin with straight springs and dampers; and
+what a run explains of a repeat.
 """
 
 from __future__ import annotations

@@ -19,7 +19,14 @@ from scipy.ndimage import median_filter
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.motion import on_one_clock
 from suspension_twin.drive.received import held_places, held_velocities, one_per_epoch, with_vertical
-from suspension_twin.drive.stamps import began_again, evened, jumps_back, of_one_recording, own_stamps, unwrapped
+from suspension_twin.drive.stamps import (
+    began_again,
+    evened,
+    jumps_back,
+    of_one_recording,
+    own_stamps,
+    unwrapped,
+)
 from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, VelocityData
 
 __all__ = [
@@ -47,7 +54,9 @@ _OUTLIER_NS = 10_000_000_000
 _NEIGHBOURS = 9
 
 #: Of a recording whose stamps scatter about a clock that does not show.
-UNTIMED = "stamps of the IMU scatter, and no even clock shows behind them: nothing says when a sample was taken"
+UNTIMED = (
+    "stamps of the IMU scatter, and no even clock shows behind them: nothing says when a sample was taken"
+)
 
 #: Beyond this, in SI units, no sensor on a vehicle measures: the bytes are damaged.
 _BEYOND = 1e6

@@ -2,9 +2,9 @@
 """Uncertainty: posterior, intervals and excited ranges of the parameters.
 
 The posterior about the best fit is Gaussian in slope coordinates (Laplace), with the curvature of whitened residuals.
-It is widened where the fit moves more when a second is left out, with all channels of it (jackknife): model discrepancy
-is correlated over that time. The static compression of a spring is a direction in which Laplace fails:
-the likelihood is evaluated on a grid there (``spring_position``). Intervals of forces are quantiles of draws."""
+It is widened where the scores of blocks of a second scatter more (sandwich covariance). The static compression of a
+spring is a direction in which Laplace fails: the likelihood is evaluated on a grid there (``spring_position``).
+Intervals of forces are quantiles of draws."""
 
 from __future__ import annotations
 
@@ -12,11 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
-from suspension_twin.inference.noise import Whitener
-from suspension_twin.inference.objectives import Measured
 from suspension_twin.inference.problem import CORRELATION, Noise, Problem
 from suspension_twin.inference.space import Curve
 from suspension_twin.inference.spring_position import Slide, changes, slides
@@ -104,19 +101,17 @@ def posterior(
 ) -> Posterior:
     """The posterior around ``x`` (d + q,), the best fit with a ``noise`` model and the prior ``precision``.
 
-    ``doubt`` (d + q,), or (k, d + q), is one more standard deviation, or k, of all coordinates together.
+    ``doubt`` (d + q,) is one more standard deviation, of all coordinates together.
     """
     fit = problem.weighed(noise)
     at = fit.linearise(x)
     residual, jacobian = at.residual, at.jacobian
     information = jacobian.T @ jacobian + precision
-    seconds = _seconds(problem.measured)
-    sample = noise.row if isinstance(noise, Whitener) else np.arange(residual.size) % seconds.size
-    inverse = np.asarray(np.linalg.inv(information), dtype=np.float64)
-    covariance = _widened(inverse, jacobian, residual, precision, seconds[sample])
+    covariance = _widened(
+        np.asarray(np.linalg.inv(information), dtype=np.float64), jacobian, residual, precision, problem
+    )
     if doubt is not None:
-        each = np.atleast_2d(doubt)
-        covariance = covariance + each.T @ each
+        covariance = covariance + np.outer(doubt, doubt)
     d = len(problem.space)
     rng = np.random.default_rng(seed)
     root = np.linalg.cholesky(covariance[:d, :d] + 1e-14 * np.eye(d))
@@ -143,28 +138,18 @@ def posterior(
     return Posterior(draws, np.sqrt(np.diag(covariance)[d:]), covariance, better)
 
 
-def _seconds(measured: Measured) -> NDArray[np.intp]:
-    """(M,) number of the block of a second that each compared sample belongs to, from 0 on."""
-    size, count, blocks = max(8, int(_BLOCK_SECONDS * measured.rate)), 0, []
-    for s in measured.segments:
-        own = np.minimum(np.arange(s.stop - s.start) // size, max((s.stop - s.start) // size - 1, 0))
-        blocks.append(count + own)
-        count += int(own[-1]) + 1
-    return np.concatenate(blocks)
-
-
 def _widened(
-    covariance: Floats, jacobian: Floats, residual: Floats, precision: Floats, block: NDArray[np.intp]
+    covariance: Floats, jacobian: Floats, residual: Floats, precision: Floats, problem: Problem
 ) -> Floats:
-    """The covariance with each deviation at least that of the jackknife over the ``block`` (R,) of each residual: by how
-    much a Gauss-Newton step moves the fit when a block is left out (MacKinnon and White 1985; CR3 of clusters)."""
-    information, count = np.linalg.inv(covariance), int(block.max()) + 1
-    moved = np.zeros((count, len(covariance)))
-    order = np.argsort(block, kind="stable")
-    for b, rows in enumerate(np.split(order, np.searchsorted(block[order], np.arange(1, count)))):
-        own = jacobian[rows]
-        moved[b] = np.linalg.solve(information - own.T @ own, own.T @ residual[rows])
-    robust = moved.T @ moved * ((count - 1.0) / count) + covariance @ precision @ covariance
+    """The covariance with each deviation at least that of the block scores (a sandwich estimate)."""
+    size = max(8, int(_BLOCK_SECONDS * problem.measured.rate))
+    if residual.size // size < 2 * covariance.shape[0]:
+        return covariance
+    starts = np.arange(0, residual.size, size)
+    blocks = starts.size
+    scores = np.add.reduceat(jacobian * residual[:, None], starts, axis=0)
+    meat = scores.T @ scores * (blocks / (blocks - 1.0)) + precision
+    robust = np.einsum("ij,jk,kl->il", covariance, meat, covariance, optimize=False)
     ratio = np.sqrt(np.maximum(np.diag(robust) / np.diag(covariance), 1.0))
     widened = covariance * ratio[:, None] * ratio[None, :]
     return np.asarray(0.5 * (widened + widened.T))

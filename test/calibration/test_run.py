@@ -225,7 +225,6 @@ def test_no_twin_is_written_that_explains_less_of_what_it_was_not_fitted_to(
     assert not (tmp_path / "twin.yaml").exists()
 
 
-
 def test_every_count_of_what_is_identified_is_the_same(fast: Any) -> None:
     result, _ = fast
     listed = [p["status"] for p in describe(result)["parameters"]]

@@ -322,7 +322,9 @@ def test_a_drive_says_that_its_stamps_scatter(make: Make, tmp_path: Path) -> Non
     period = float(np.median(np.diff(true)))
     for share, words in ((0.0, "its times are taken"), (0.1, "nothing says when a sample was taken")):
         kept = rng.random(true.size) >= share
-        stamps = np.maximum.accumulate(true + 0.7 * period * np.clip(rng.standard_normal(true.size), -3.0, 3.0))
+        stamps = np.maximum.accumulate(
+            true + 0.7 * period * np.clip(rng.standard_normal(true.size), -3.0, 3.0)
+        )
         imu = replace(drive.imu, t=stamps, specific_force=waves[:, :3], angular_rate=waves[:, 3:])
         name = tmp_path / f"bag{share}"
         write_drive(Drive("d", imu.select(kept), drive.fix, drive.velocity), name)

@@ -165,8 +165,8 @@ def test_gyroscope_accelerometer_and_course_agree_or_it_is_said(case: str, yaw_r
 
 
 def test_a_course_that_errors_turn_to_and_fro_says_nothing_of_the_gyroscope() -> None:
-    """A phone's velocities on a straight road at 4 m/s: 0.1 m/s to the left and to the right, with which the gyroscope's
-    noise goes by chance."""
+    """A phone's velocities on a straight road at 4 m/s: 0.1 m/s to the left and to the right, with which the noise of
+    the gyroscope goes by chance."""
     t = np.arange(0.0, 40.0, 0.02)
     side = 0.1 * (-1.0) ** np.arange(41)
     velocity = VelocityData(np.arange(41.0), np.column_stack([np.full(41, 4.0), side, np.zeros(41)]))
