@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from reality.sensors import Receiver, receiver_fixes
+from reality.sensors import ALONE, Receiver, receiver_fixes
 from scipy.interpolate import CubicSpline
 from scipy.signal import bilinear, lfilter, lfilter_zi
 from scipy.spatial.transform import Rotation
@@ -26,6 +26,9 @@ CHIP = 42.0  # Hz, of the converter's own low-pass, whose delay the stamps have 
 RATE = 100.0
 #: s of jitter of the stamps; None for each phone's own.
 JITTER: float | None = None
+#: Receivers by name: with RTK, and the phone's own.
+RECEIVERS = {"rtk": Receiver(white=0.006, wander=0.006), "phone": ALONE[1]}
+RECEIVER = "rtk"
 DELAY = 2 * 0.7071 / (2 * np.pi * CHIP)  # s
 
 
@@ -163,7 +166,7 @@ def record(world: World, plan: Plan, motion: Motion, faults: Faults, name: str) 
     imu = ImuData(stamps[kept], sample[kept, :3], sample[kept, 3:])
     antenna = motion.place + rotate(motion.turn, np.broadcast_to(world.antenna, motion.place.shape))
     stride = 2
-    receiver = Receiver(white=0.006, wander=0.006)
+    receiver = RECEIVERS[RECEIVER]
     fix_t, geodetic, velocity = receiver_fixes(
         motion.t[::stride], antenna[::stride], receiver, world.datum, plan.start, plan.seed + 50_000
     )
@@ -173,7 +176,7 @@ def record(world: World, plan: Plan, motion: Motion, faults: Faults, name: str) 
         geodetic[:, 0],
         geodetic[:, 1],
         geodetic[:, 2],
-        np.full(fix_t.size, 2, dtype=np.int8),
+        np.full(fix_t.size, 2 if RECEIVER == "rtk" else 0, dtype=np.int8),
         np.tile([spread, spread, receiver.vertical * spread], (fix_t.size, 1)),
     )
     return Drive(name=name, imu=imu, fix=fix, velocity=VelocityData(fix_t, velocity))

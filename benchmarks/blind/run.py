@@ -57,10 +57,10 @@ def chosen(options: argparse.Namespace) -> list[Spec]:
     return cases
 
 
-def _generate(job: tuple[list[Spec], Path, float, float | None]) -> list[str]:
+def _generate(job: tuple[list[Spec], Path, float, float | None, str]) -> list[str]:
     from blind import folder, measured, phone
 
-    specs, out, phone.RATE, phone.JITTER = job
+    specs, out, phone.RATE, phone.JITTER, phone.RECEIVER = job
     lines = []
     for spec in specs:
         make_case = measured.make_case if spec.reality == MEASURED or spec.planar else folder.make_case
@@ -80,14 +80,20 @@ def _generate(job: tuple[list[Spec], Path, float, float | None]) -> list[str]:
 
 
 def generate(
-    cases: list[Spec], out: Path, jobs: int, tell: Any, rate: float = 100.0, jitter: float | None = None
+    cases: list[Spec],
+    out: Path,
+    jobs: int,
+    tell: Any,
+    rate: float = 100.0,
+    jitter: float | None = None,
+    receiver: str = "rtk",
 ) -> None:
     """Write every case that is not there yet, then seal the labels."""
     missing = [c for c in cases if not (out / "sealed" / c.name / "label.json").is_file()]
     by_world: dict[int, list[Spec]] = {}
     for spec in missing:
         by_world.setdefault(spec.world, []).append(spec)
-    work = [(specs, out, rate, jitter) for specs in by_world.values()]
+    work = [(specs, out, rate, jitter, receiver) for specs in by_world.values()]
     done = 0
     if jobs == 1:
         for job in work:
@@ -141,6 +147,9 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("--limit", type=int, default=0, metavar="N", help="the first N cases: a fair sample")
     parser.add_argument("--rate", type=float, default=100.0, help="of the phone in Hz")
     parser.add_argument("--jitter", type=float, help="s of its stamps; each phone's own by default")
+    parser.add_argument(
+        "--receiver", choices=("rtk", "phone"), default="rtk", help="phone: metres off, once a second, late"
+    )
     parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1), help="to generate with")
     parser.add_argument(
         "--baselines",
@@ -160,7 +169,8 @@ def parsed() -> argparse.Namespace:
     options.short = options.short or not (
         options.full or options.only or options.limit or options.case is not None
     )
-    options.out = (options.out or ROOT / "out" / f"blind_{options.seeds}").resolve()
+    name = f"blind_{options.seeds}" + ("" if options.receiver == "rtk" else "_phone")
+    options.out = (options.out or ROOT / "out" / name).resolve()
     return options
 
 
@@ -173,7 +183,7 @@ def main() -> None:
 
     cases = chosen(options)
     if options.stage in ("generate", "all"):
-        generate(cases, options.out, options.jobs, tell, options.rate, options.jitter)
+        generate(cases, options.out, options.jobs, tell, options.rate, options.jitter, options.receiver)
     if options.stage in ("diagnose", "all"):
         diagnose(cases, options.out, tell)
     if options.stage in ("score", "all"):

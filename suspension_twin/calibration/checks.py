@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from suspension_twin.drive.checks import UNTIMED
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.inference.excited_segments import TrimSettings
@@ -30,7 +31,9 @@ LEAST_CORRELATION = 0.5
 
 
 def check_recording(drive: Drive) -> None:
-    """Refuse a recording of a parked car."""
+    """Refuse a recording of a parked car, and one whose samples have no times."""
+    if UNTIMED in drive.warnings:
+        raise InputError(drive.name, f"{UNTIMED}: record with the sensor's own stamps, not those of arrival")
     speed = np.hypot(drive.velocity.enu[:, 0], drive.velocity.enu[:, 1])
     seen = np.isfinite(speed)
     if np.count_nonzero(seen) < 2:

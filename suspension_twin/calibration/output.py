@@ -46,18 +46,24 @@ def write_result(result: CalibrationResult, path: Path) -> tuple[Path, Path]:
     InputError
         A file cannot be written.
     WorkError
-        The calibrated twin is farther from its own drives than the one it started from.
+        The calibrated twin is farther from its own drives than the one it started from, or explains less of what is
+        held out.
 
     Examples
     --------
     >>> write_result(result, Path("calibrated.yaml"))  # doctest: +SKIP
     (PosixPath('calibrated.yaml'), PosixPath('calibrated.calibration.yaml'))
     """
-    if result.is_worse:
+    if result.is_farther:
         gaps = ", ".join(f"{d.name} {d.gap_before.rms:.3g} to {d.gap_after.rms:.3g}" for d in result.drives)
         raise WorkError(
             f"no twin is written, the calibrated one is farther from its drives than the given one ({gaps}): something "
             "other than the free parameters is off, such as place, clock, speed or the road; diagnose says which"
+        )
+    if result.yardstick is not None and result.yardstick.is_worse:
+        raise WorkError(
+            f"no twin is written, the given one explains more of what is held out ({result.yardstick}): the drives do "
+            "not agree on one vehicle, or show nothing that the given twin lacks; diagnose says which"
         )
     details = details_path(path)
     body = yaml.safe_dump(
@@ -152,7 +158,7 @@ def _explained(result: CalibrationResult) -> Json | None:
     measure = result.yardstick
     if measure is None:
         return None
-    shares = {name: _number(getattr(measure, name)) for name in ("twin", "linear", "repeat")}
+    shares = {name: _number(getattr(measure, name)) for name in ("twin", "given", "linear", "repeat")}
     return {"channel": measure.channel, "held_out": measure.held_out, **shares}
 
 

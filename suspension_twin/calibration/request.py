@@ -181,12 +181,13 @@ class SensorEstimate:
 @dataclass(frozen=True)
 class Yardstick:
     """Share of the variance of a ``channel`` that is explained on ``held_out`` parts of the data: by the calibrated
-    ``twin``, by a ``linear`` model that was fitted to the same parts, and by a ``repeat`` of the same run; NaN for what
-    there is not."""
+    ``twin``, by the ``given`` twin with its own nuisances, by a ``linear`` model that was fitted to the same parts, and
+    by a ``repeat`` of the same run; NaN for what there is not."""
 
     channel: str
     held_out: str
     twin: float
+    given: float
     linear: float
     repeat: float
 
@@ -195,10 +196,20 @@ class Yardstick:
         """Whether the linear model explains more, by more than a thousandth of the variance."""
         return self.linear > self.twin + 1e-3
 
+    @property
+    def is_worse(self) -> bool:
+        """Whether the given twin explains more, by more than a hundredth of the variance: a sound twin that is
+        calibrated anew comes out less than that apart, by chance."""
+        return self.given > self.twin + 1e-2
+
     def __str__(self) -> str:
         others = [
             f"{words} {100 * value:.1f} %"
-            for words, value in (("a linear model", self.linear), ("one repeat of another", self.repeat))
+            for words, value in (
+                ("the given twin", self.given),
+                ("a linear model", self.linear),
+                ("one repeat of another", self.repeat),
+            )
             if np.isfinite(value)
         ]
         beside = f" ({', '.join(others)})" if others else ""
@@ -331,7 +342,7 @@ class CalibrationResult(SearchSummary, Estimates):
         return f"worse than a linear model of the same data: {self.yardstick}" if lost else ""
 
     @property
-    def is_worse(self) -> bool:
+    def is_farther(self) -> bool:
         """Whether the calibrated twin is farther from its own drives than the one it started from, all together, even
         with the nuisances as they were found."""
         after = sum(min(d.gap_after.rms, d.nuisance_free) ** 2 for d in self.drives)

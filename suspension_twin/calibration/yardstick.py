@@ -5,8 +5,9 @@ Explained variance of the main channel, 1 - var(measured - simulated) / var(meas
 held out in turn: whole runs, both halves of a single run, or every fifth block of road; where one bump makes most of
 the motion, so that the road without it shows nothing, whole passes. The twin without a part is one Gauss-Newton step
 from the fit to all data; where the drive was and how its sensor read it stays as found in all of it, for this is found
-anew on every drive. Beside it stand, fitted to the same parts: for a rig the linear corner of
-``inference.linear_corner``, for a car the twin with straight springs and dampers; and what a run explains of a repeat.
+anew on every drive. Beside it stand the given twin, place and sensor fitted to all data, and, fitted to the same parts:
+for a rig the linear corner of ``inference.linear_corner``, for a car the twin with straight springs and dampers; and
+what a run explains of a repeat.
 """
 
 from __future__ import annotations
@@ -86,7 +87,12 @@ def yardstick(setup: Setup, outcome: SearchOutcome, kept: NDArray[np.bool_]) -> 
     elif channel in CORNER_CHANNELS and model_of(setup.twin).recordings == "rig":
         linear = share(_of_corner(problem, part, channel))
     return Yardstick(
-        channel, held_out, share(simulated[:, column]), linear, _of_repeats(problem.data.parts, channel)
+        channel=channel,
+        held_out=held_out,
+        twin=share(simulated[:, column]),
+        given=share(_of_given(problem, outcome.placed, x, weights)[:, column]),
+        linear=linear,
+        repeat=_of_repeats(problem.data.parts, channel),
     )
 
 
@@ -121,9 +127,7 @@ def _held_out(
     """(M, C) readings of the fit at ``x`` (d + q,) with ``weights`` (C,) of the channels, each part from a fit without
     it; ``fixed`` unknowns stay."""
     measured = problem.measured
-    weighted = (problem.compared(x[:, None])[:, :, 0] - measured.values) * weights
-    scale = max(float(np.std(weighted)), 1e-12) / weights
-    at = problem.weighed(_Plain(measured.values, scale)).linearise(x)
+    at = problem.weighed(_plain(problem, x, weights)).linearise(x)
     precision, centre = problem.joint_prior()
     row = np.repeat(part, len(problem.channels))
     free = np.flatnonzero(~fixed)
@@ -141,6 +145,27 @@ def _held_out(
         unknowns[free, f] -= np.clip(step(row != f) - whole, -1.0, 1.0)
     compared = problem.compared(problem.clipped(unknowns))
     return np.asarray(np.take_along_axis(compared, part[:, None, None], axis=2)[:, :, 0])
+
+
+def _plain(problem: Problem, x: Floats, weights: Floats) -> _Plain:
+    """Residuals in units of their own size at ``x`` (d + q,), with ``weights`` (C,) of the channels."""
+    measured = problem.measured.values
+    weighted = (problem.compared(x[:, None])[:, :, 0] - measured) * weights
+    return _Plain(measured, max(float(np.std(weighted)), 1e-12) / weights)
+
+
+def _of_given(problem: Problem, placed: Floats, x: Floats, weights: Floats) -> Floats:
+    """(M, C) readings of the given twin with its own nuisances, searched from those at ``x`` (d + q,) on; ``placed``
+    (q,) are simulated beside them."""
+    start = np.concatenate([problem.space.z0, x[problem.d :]])
+    precision = problem.prior.precision / problem.measured.independent
+    centre = np.concatenate([problem.space.z0, -placed])
+    known = np.arange(start.size) < problem.d
+    low, high = (np.where(known, start, side) for side in (-np.inf, np.inf))
+    residuals = problem.weighed(_plain(problem, start, weights))
+    solver = GaussNewton(residuals, start, precision, centre, low, high, settings=_DESCENT)
+    solver.run()
+    return problem.compared(solver.x[:, None])[:, :, 0]
 
 
 def _of_corner(problem: Problem, part: NDArray[np.intp], channel: str) -> Floats:

@@ -25,10 +25,18 @@ from suspension_twin.drive.received import (
     one_per_epoch,
     with_vertical,
 )
-from suspension_twin.drive.stamps import began_again, jumps_back, of_one_recording, own_stamps, unwrapped
+from suspension_twin.drive.stamps import (
+    began_again,
+    evened,
+    jumps_back,
+    of_one_recording,
+    own_stamps,
+    unwrapped,
+)
 from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, VelocityData
 
 __all__ = [
+    "UNTIMED",
     "Gravity",
     "Rhythm",
     "Summary",
@@ -50,6 +58,11 @@ Kind = TypeVar("Kind", ImuData, FixData, VelocityData, HeadingData)
 #: A stamp this far from its neighbours' offset to the record time is a fault, not jitter.
 _OUTLIER_NS = 10_000_000_000
 _NEIGHBOURS = 9
+
+#: Of a recording whose stamps scatter about a clock that does not show.
+UNTIMED = (
+    "stamps of the IMU scatter, and no even clock shows behind them: nothing says when a sample was taken"
+)
 
 #: Beyond this, in SI units, no sensor on a vehicle measures: the bytes are damaged.
 _BEYOND = 1e6
@@ -142,6 +155,13 @@ def clean_drive(drive: Drive) -> Drive:
     t, good, lines = own_stamps(imu.t, np.hstack([imu.specific_force, imu.angular_rate]), "IMU samples")
     imu = replace(imu, t=t).select(good)
     warnings += lines
+    t, known = evened(imu.t, np.hstack([imu.specific_force, imu.angular_rate]))
+    if not np.array_equal(t, imu.t):
+        scattered = f"stamps of the IMU scatter by {1e3 * np.std(imu.t - t):.2g} ms about an even clock"
+        warnings.append(f"{scattered}: its times are taken")
+        imu = replace(imu, t=t)
+    if not known:
+        warnings.append(UNTIMED)
     with np.errstate(invalid="ignore"):
         good = (np.abs(fix.latitude) <= 90) & (np.abs(fix.longitude) <= 180) & np.isfinite(fix.t)
     # receivers and phones report 0, 0 before their first fix

@@ -170,7 +170,8 @@ def _turning(windows: ImuWindows, velocity: VelocityData) -> Floats | None:
         return None
     course, used = _course_turns(windows.t, velocity)
     rate = windows.rate[used]
-    if len(course) < _FEWEST or float(np.sum(np.abs(course))) < _BENDS:
+    # errors of single velocities turn the course to and fro, a bend one way
+    if len(course) < _FEWEST or float(np.ptp(np.cumsum(course))) < _BENDS:
         return None
     square = rate.T @ rate
     turns = np.linalg.solve(square + _RIDGE * max(np.trace(square), 1e-12) * np.eye(3), rate.T @ course)

@@ -15,6 +15,7 @@ import yaml
 
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.output import describe, details_path, write_result
+from suspension_twin.calibration.presets import TABLE_2
 from suspension_twin.calibration.request import CalibrationRequest, CalibrationResult, Progress
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.calibration.setup import set_up
@@ -26,8 +27,10 @@ from suspension_twin.inference.noise import Whitener
 from suspension_twin.inference.observation import observe
 from suspension_twin.inference.problem import Problem
 from suspension_twin.inference.space import curve_keys
+from suspension_twin.inference.synthetic import synthetic_drive
 from suspension_twin.models.parameters import twin_value
 from suspension_twin.models.simulate import simulate_twin
+from suspension_twin.road import load_road
 from suspension_twin.vehicle.twin import load_twin, save_twin
 
 
@@ -196,6 +199,30 @@ def test_passes_over_one_bump_are_held_out_whole(pass_case: Any, tmp_path: Path)
     both = calibrate(CalibrationRequest(pass_case.twin, (pass_case.bag("pass"), str(tmp_path / "again"))))
     assert both.yardstick is not None and both.yardstick.held_out == "passes"
     assert both.yardstick.twin > 0.9 and not any("one pass" in w for w in both.warnings)
+
+
+def test_no_twin_is_written_that_explains_less_of_what_it_was_not_fitted_to(
+    pass_case: Any, tmp_path: Path
+) -> None:
+    """Two cars, one softer and one harder than the given twin: what fits one is farther from the other than it is."""
+    road = load_road(pass_case.folder / "road.crg")
+    softer = pass_case.truth
+    harder = pass_case.start.with_changes(
+        {
+            f"{key}.force": tuple(0.3 * low + 0.7 * high for low, high in bounds)
+            for key, (_, bounds) in TABLE_2.items()
+        }
+    )
+    bags = []
+    for name, car, seed in (("softer", softer, 3), ("harder", harder, 4)):
+        drive = synthetic_drive(car, road, [(0.0, 4.2), (6.0, 4.2)], seed=seed, name=name)
+        write_drive(drive, tmp_path / name)
+        bags.append(str(tmp_path / name))
+    result = calibrate(CalibrationRequest(pass_case.twin, tuple(bags)))
+    assert result.yardstick is not None and result.yardstick.given > result.yardstick.twin + 0.01
+    with pytest.raises(WorkError, match="no twin is written.*held-out passes .the given twin"):
+        write_result(result, tmp_path / "twin.yaml")
+    assert not (tmp_path / "twin.yaml").exists()
 
 
 def test_every_count_of_what_is_identified_is_the_same(fast: Any) -> None:

@@ -150,13 +150,13 @@ def test_no_twin_is_written_that_is_farther_from_its_drives(
     result: CalibrationResult, tmp_path: Path
 ) -> None:
     (drive,) = result.drives
-    assert not result.is_worse
+    assert not result.is_farther
     worse = replace(drive, gap_after=replace(drive.gap_after, rms=2.0 * drive.gap_before.rms))
-    assert not replace(result, drives=(worse,)).is_worse  # not with the drive's own clock and place
+    assert not replace(result, drives=(worse,)).is_farther  # not with the drive's own clock and place
     worse = replace(worse, nuisance_free=1.5 * drive.gap_before.rms)
     assert (
-        replace(result, drives=(worse,)).is_worse
-        and not replace(result, drives=(worse, drive, drive, drive)).is_worse
+        replace(result, drives=(worse,)).is_farther
+        and not replace(result, drives=(worse, drive, drive, drive)).is_farther
     )
     with pytest.raises(WorkError, match="no twin is written.*learnt"):
         write_result(replace(result, drives=(worse,)), tmp_path / "twin.yaml")

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from suspension_twin.calibration.checks import check_recording
 from suspension_twin.drive.checks import summarise
 from suspension_twin.drive.importing import Imported, import_drive
 from suspension_twin.drive.read import read_drive
-from suspension_twin.drive.stamps import jumps_back, of_one_recording, own_stamps, strays, unwrapped
+from suspension_twin.drive.stamps import evened, jumps_back, of_one_recording, own_stamps, strays, unwrapped
 from suspension_twin.drive.types import Drive
 from suspension_twin.drive.write import BagWriter, write_drive
 from suspension_twin.errors import InputError
@@ -281,3 +283,55 @@ def test_a_topic_doubled_for_a_part_of_the_drive(make: Make, tmp_path: Path) -> 
     read = read_drive(tmp_path / "bag")
     np.testing.assert_array_equal(read.imu.t, drive.imu.t)
     assert said(read, "100 of 500 IMU samples are there twice")
+
+
+# --- stamps that scatter
+
+
+def shaken(t: np.ndarray) -> np.ndarray:
+    """Six channels of a car on a road at times (n,) s: bounce, pitch and the hop of wheels, with a sensor's noise."""
+    waves = [np.sin(2 * np.pi * hz * (t[:, None] - START) + np.arange(6)) for hz in (1.3, 1.9, 5.3, 11.7)]
+    noise = np.random.default_rng(1).standard_normal((t.size, 6))
+    return np.asarray(sum(waves) + 0.05 * noise)
+
+
+@pytest.mark.parametrize(("scatter", "lost"), [(3e-3, 0.005), (5e-3, 0.002), (0.01, 0.0)])
+def test_stamps_that_scatter_are_read_on_the_sensors_even_clock(scatter: float, lost: float) -> None:
+    """Of a phone at 67 Hz whose clock is 50 ppm off; its samples come in order, some do not come at all."""
+    rng = np.random.default_rng(3)
+    true = START + np.arange(4000) * 1.00005 / 67.0
+    true = true[rng.random(4000) >= lost]
+    stamps = true + scatter * np.clip(rng.standard_normal(true.size), -3.0, 3.0)
+    even, known = evened(stamps, shaken(true))
+    assert known
+    assert np.std(even - true) < 0.35 * np.std(stamps - true)
+
+
+@pytest.mark.parametrize("scatter", [2e-3, 0.01])
+def test_a_sensor_that_is_polled_unevenly_keeps_its_stamps(scatter: float) -> None:
+    rng = np.random.default_rng(3)
+    true = np.unique(START + np.arange(4000) / 67.0 + scatter * rng.standard_normal(4000))
+    stamps, known = evened(true, shaken(true))
+    assert known and np.array_equal(stamps, true)
+
+
+def test_a_drive_says_that_its_stamps_scatter(make: Make, tmp_path: Path) -> None:
+    drive = make(4000)
+    true, rng = drive.imu.t, np.random.default_rng(3)
+    waves = shaken(true - true[0] + START)
+    period = float(np.median(np.diff(true)))
+    for share, words in ((0.0, "its times are taken"), (0.1, "nothing says when a sample was taken")):
+        kept = rng.random(true.size) >= share
+        stamps = np.maximum.accumulate(
+            true + 0.7 * period * np.clip(rng.standard_normal(true.size), -3.0, 3.0)
+        )
+        imu = replace(drive.imu, t=stamps, specific_force=waves[:, :3], angular_rate=waves[:, 3:])
+        name = tmp_path / f"bag{share}"
+        write_drive(Drive("d", imu.select(kept), drive.fix, drive.velocity), name)
+        read = read_drive(name)
+        assert said(read, words)
+        if share:
+            with pytest.raises(InputError, match="the sensor's own stamps"):
+                check_recording(read)
+        else:
+            assert len(read.imu) == true.size and np.std(read.imu.t - true) < 0.1 * period

@@ -162,3 +162,19 @@ def test_gyroscope_accelerometer_and_course_agree_or_it_is_said(case: str, yaw_r
     fault = turning_fault(windows, drive.velocity)
     assert says in fault if says else fault == ""
     assert rates_in_degrees(windows, drive.velocity) == ""
+
+
+def test_a_course_that_errors_turn_to_and_fro_says_nothing_of_the_gyroscope() -> None:
+    """A phone's velocities on a straight road at 4 m/s: 0.1 m/s to the left and to the right, with which the noise of
+    the gyroscope goes by chance."""
+    t = np.arange(0.0, 40.0, 0.02)
+    side = 0.1 * (-1.0) ** np.arange(41)
+    velocity = VelocityData(np.arange(41.0), np.column_stack([np.full(41, 4.0), side, np.zeros(41)]))
+    turns = np.diff(np.arctan2(side, 4.0))
+    rate = np.column_stack([np.zeros((t.size, 2)), 0.4 * turns[np.minimum(t.astype(int), 39)]])
+    force = np.tile([0.0, 0.0, 9.81], (t.size, 1))
+    assert turning_fault(windowed(t, force, rate), velocity) == ""
+    bend = np.cumsum(np.full(41, 0.1))
+    velocity = VelocityData(np.arange(41.0), 4.0 * np.column_stack([np.cos(bend), np.sin(bend), 0.0 * bend]))
+    rate[:, 2] = 0.04
+    assert "check their unit" in turning_fault(windowed(t, force, rate), velocity)
