@@ -166,7 +166,7 @@ def calibrated(
             found = calibrate(request)
         except SuspensionTwinError as error:
             return Found(unseen_gap(given, unseen), refused=str(error).partition(": ")[2])
-    if found.is_worse:
+    if found.refusal:
         return Found(unseen_gap(given, unseen), refused="worse than the given twin")
     return Found(unseen_gap(found.twin, unseen), *errors_of(found, reality.truth))
 

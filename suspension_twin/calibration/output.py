@@ -54,17 +54,8 @@ def write_result(result: CalibrationResult, path: Path) -> tuple[Path, Path]:
     >>> write_result(result, Path("calibrated.yaml"))  # doctest: +SKIP
     (PosixPath('calibrated.yaml'), PosixPath('calibrated.calibration.yaml'))
     """
-    if result.is_farther:
-        gaps = ", ".join(f"{d.name} {d.gap_before.rms:.3g} to {d.gap_after.rms:.3g}" for d in result.drives)
-        raise WorkError(
-            f"no twin is written, the calibrated one is farther from its drives than the given one ({gaps}): something "
-            "other than the free parameters is off, such as place, clock, speed or the road; diagnose says which"
-        )
-    if result.yardstick is not None and result.yardstick.is_worse:
-        raise WorkError(
-            f"no twin is written, the given one explains more of what is held out ({result.yardstick}): the drives do "
-            "not agree on one vehicle, or show nothing that the given twin lacks; diagnose says which"
-        )
+    if result.refusal:
+        raise WorkError(f"no twin is written, {result.refusal}; diagnose says which")
     details = details_path(path)
     body = yaml.safe_dump(
         describe(result), sort_keys=False, default_flow_style=None, width=110, allow_unicode=True

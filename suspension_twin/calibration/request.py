@@ -349,6 +349,22 @@ class CalibrationResult(SearchSummary, Estimates):
         return after > sum(d.gap_before.rms**2 for d in self.drives)
 
     @property
+    def refusal(self) -> str:
+        """Why the calibrated twin is not to be written, empty where it is."""
+        if self.is_farther:
+            gaps = ", ".join(f"{d.name} {d.gap_before.rms:.3g} to {d.gap_after.rms:.3g}" for d in self.drives)
+            return (
+                f"the calibrated one is farther from its drives than the given one ({gaps}): something other than the "
+                "free parameters is off, such as place, clock, speed or the road"
+            )
+        if self.yardstick is not None and self.yardstick.is_worse:
+            return (
+                f"the given one explains more of what is held out ({self.yardstick}): the drives do not agree on one "
+                "vehicle, or show nothing that the given twin lacks"
+            )
+        return ""
+
+    @property
     def counts(self) -> dict[str, int]:
         """How many parameters have which status, those that none has left out."""
         found = {s: sum(e.status == s for e in self.estimates) for s in STATUSES}

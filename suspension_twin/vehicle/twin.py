@@ -526,7 +526,7 @@ def with_value(node: object, key: str, value: object, source: str = "twin") -> o
 def _child(node: object, part: str, key: str, source: str) -> object:
     """The value of one part of a key."""
     kind = type(node)
-    known: Collection[str] = _fields(kind)
+    known: Collection[str] = _fields(kind)  # type: ignore[arg-type]  # a class can be hashed
     if part in known:
         return getattr(node, part)
     if isinstance(node, Mapping):
@@ -543,7 +543,7 @@ def _child(node: object, part: str, key: str, source: str) -> object:
 
 
 @cache
-def _fields(kind: type) -> Collection[str]:
+def _fields(kind: type[Any]) -> Collection[str]:
     """Names of the values of a part of a file, none of another type."""
     return kind.model_fields if issubclass(kind, Strict) else ()
 
