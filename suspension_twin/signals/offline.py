@@ -304,7 +304,12 @@ def ingest_drive(drive: Drive, place: Place, settings: ImuSettings | None = None
             climb = ground.slope(t, drive.fix)
             pull[:, 0] += 0.0 if climb is None else reading.gravity * np.sin(climb)
             pull = pull @ turn / reading.scale
-        changes = mounting_changes(t, raw_force - pull, ground, drive.fix, turn[0])
+        # what pulls a vehicle along is in the force along it, if the sensor looks where the file says
+        before, after = (np.nanvar(force @ turn[0]) for force in (raw_force, raw_force - pull))
+        known = after < before
+        changes = mounting_changes(
+            t, raw_force - pull if known else raw_force, ground, drive.fix, turn[0] if known else None
+        )
     for moment, change in changes:
         findings.append(change.finding(moment, t[0]))
         if not change.slow:

@@ -126,6 +126,14 @@ def test_real_hills_bends_and_brakes_are_no_alarm(measured: tuple[Drive, Place])
     assert said(*measured) == []
 
 
+def test_a_sensor_that_looks_backwards_unsaid_has_not_slipped(measured: tuple[Drive, Place]) -> None:
+    """Slopes and braking are then felt the other way round."""
+    drive, place = measured
+    roll, pitch, yaw = place.rpy
+    backwards = place.model_copy(update={"rpy": (roll, pitch, yaw + np.pi)})
+    assert [text for code, text in said(drive, backwards) if code == "turned"] == []
+
+
 @pytest.mark.parametrize("axis", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)])
 def test_a_slip_of_five_degrees_on_a_real_drive_is_seen(
     measured: tuple[Drive, Place], axis: tuple[float, ...]
