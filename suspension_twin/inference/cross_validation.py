@@ -43,7 +43,6 @@ FOLDS = 5
 #: the other folds best is used. A parameter that only one fold excites (the end of a spring curve) is otherwise free in
 #: the others, which costs every hypothesis thousands of nats at random.
 _PRIOR_FACTORS = (1e2, 1e3, 1e4)
-_APART = 100_000  # between the numbers of blocks of two drives that share none
 #: Nuisance parameters of timing, which a few sharp edges determine. In a fold without edges they would follow model
 #: discrepancy, which penalises hypotheses with unbounded clocks.
 _TIMES = ("clock_offset", "map_position")
@@ -65,11 +64,7 @@ class Blocks:
 
 def blocks_of(problem: Problem) -> Blocks:
     """The blocks of a problem: of road over all drives, of the distance of a run, of time without a road."""
-    data, keys = problem.data, []
-    for part, rows, drive in zip(data.parts, data.rows, data.drive_of, strict=True):
-        own = part.usage
-        keys.append(own.block[rows] + (0 if own.shared else _APART * drive))
-    _, sample = np.unique(np.concatenate(keys), return_inverse=True)
+    sample = problem.data.block
     return Blocks(sample, sample[whitener_of(problem).row], int(sample.max()) + 1)
 
 

@@ -84,6 +84,9 @@ def segments_of(rows: NDArray[np.intp], offset: int) -> list[slice]:
     return [slice(offset + a, offset + b) for a, b in zip(bounds, bounds[1:], strict=False)]
 
 
+_APART = 100_000  # between the numbers of blocks of two drives that share none
+
+
 @dataclass(frozen=True, eq=False)
 class Data:
     """The observations of a problem, whole or in parts, and the M samples of them that are compared.
@@ -122,6 +125,16 @@ class Data:
             tuple(drives),
             first.bandwidth,
         )
+
+    @cached_property
+    def block(self) -> NDArray[np.intp]:
+        """(M,) the block of each compared sample, counted from 0: of road over all drives, of the distance of a run, of
+        time without a road."""
+        keys = [
+            part.usage.block[own] + (0 if part.usage.shared else _APART * drive)
+            for part, own, drive in zip(self.parts, self.rows, self.drive_of, strict=True)
+        ]
+        return np.asarray(np.unique(np.concatenate(keys), return_inverse=True)[1], dtype=np.intp)
 
     def nuisances(
         self, priors: NuisancePriors, wander: Sequence[float] | None = None, taped: Taped | None = None

@@ -116,6 +116,7 @@ def asked(
     **options: Any,
 ) -> Posterior:
     problem: Any = Straight(space, precision.shape[0] - len(space), rate, fails)
+    problem.data = SimpleNamespace(block=np.arange(len(lines.a)) // int(RATE))
     at = lines.centre if x is None else x
     return posterior(problem, lines, at, precision, where or standing(), options.pop("seed", 1), **options)
 
@@ -128,11 +129,10 @@ def some_precision(rng: np.random.Generator, size: int) -> np.ndarray:
 # -- covariance ------------------------------------------------------------------------------------
 
 
-def test_few_blocks_leave_the_inverse_of_data_and_prior(corner: Twin) -> None:
-    """One second less than two for each coordinate tells nothing of how scores scatter."""
+def test_a_single_block_leaves_the_inverse_of_data_and_prior(corner: Twin) -> None:
+    """Nothing tells how a fit to other data would differ."""
     space, rng = space_of(corner, (*DAMPER, *MASS)), np.random.default_rng(0)
-    p = len(space) + 2
-    rows = 2 * p * int(RATE) - 1
+    p, rows = len(space) + 2, int(RATE)
     lines = Lines(
         rng.standard_normal((rows, p)), np.concatenate([space.z0, [0.3, -0.2]]), 5.0 * np.ones(rows)
     )
@@ -144,31 +144,42 @@ def test_few_blocks_leave_the_inverse_of_data_and_prior(corner: Twin) -> None:
     assert found.better is None
 
 
-@pytest.mark.parametrize("blocks", [10, 23])
-def test_where_scores_of_seconds_scatter_more_it_is_their_sandwich(corner: Twin, blocks: int) -> None:
-    """With C the inverse information and M the prior's and the scores' scatter, standard deviations are at least those
-    of C M C; correlations are those of C."""
+@pytest.mark.parametrize("blocks", [3, 10, 23])
+def test_where_fits_without_a_block_scatter_more_it_is_their_jackknife(corner: Twin, blocks: int) -> None:
+    """Standard deviations are at least those of the fits that leave out one block each, with the prior's own part;
+    correlations are those of the inverse information C."""
     space, rng = space_of(corner, (*DAMPER, *MASS)), np.random.default_rng(4)
     p, size = len(space) + 2, int(RATE)
     a = rng.standard_normal((blocks, size, p)) * [1.0, 2.0, 0.5, 1.0, 1.0]
     noise = 0.3 * rng.standard_normal((blocks, size))
-    # a second that is off as a whole counts where the slope is of one sign: two of the coordinates
+    # a block that is off as a whole counts where the slope is of one sign: two of the coordinates
     a[:, :, [0, 3]] = np.abs(a[:, :, [0, 3]])
     noise += 3.0 * rng.standard_normal((blocks, 1))
-    lines = Lines(a.reshape(-1, p), np.concatenate([space.z0, [0.0, 0.0]]), noise.ravel())
     precision = some_precision(rng, p)
+    centre = np.concatenate([space.z0, [0.0, 0.0]])
+
+    def fit(kept: list[int]) -> np.ndarray:
+        """The optimum of some blocks and the prior, about ``centre``."""
+        slopes, off = a[kept].reshape(-1, p), noise[kept].ravel()
+        return np.asarray(-np.linalg.solve(slopes.T @ slopes + precision, slopes.T @ off))
+
+    every = list(range(blocks))
+    best = fit(every)
+    # the same lines with the optimum at the centre
+    noise = noise + a @ best
+    pull = precision @ best
+    lines = Lines(a.reshape(-1, p), centre, noise.ravel())
     found = asked(space, lines, precision)
 
     plain = np.linalg.inv(lines.a.T @ lines.a + precision)
-    scores = [sum(a[k, i] * noise[k, i] for i in range(size)) for k in range(blocks)]
-    scatter = sum(np.outer(s, s) for s in scores) * blocks / (blocks - 1) + precision
-    sandwich = np.diag(plain @ scatter @ plain)
-    deviation = np.sqrt(np.maximum(np.diag(plain), sandwich))
-    wider = sandwich > np.diag(plain)
-    if blocks < 2 * p:
-        wider[:], deviation = False, np.sqrt(np.diag(plain))
-    else:
-        assert wider.any()
+    moved = []
+    for k in every:
+        left = a[[b for b in every if b != k]].reshape(-1, p)
+        own = noise[[b for b in every if b != k]].ravel()
+        moved.append(np.linalg.solve(left.T @ left + precision, left.T @ own + pull))
+    jackknife = (blocks - 1) / blocks * sum(np.outer(m, m) for m in moved) + plain @ precision @ plain
+    deviation = np.sqrt(np.maximum(np.diag(plain), np.diag(jackknife)))
+    assert (deviation > np.sqrt(np.diag(plain)) + 1e-6).any()
     correlation = plain / np.sqrt(np.outer(np.diag(plain), np.diag(plain)))
     np.testing.assert_allclose(
         found.covariance, correlation * np.outer(deviation, deviation), rtol=1e-5, atol=1e-12
