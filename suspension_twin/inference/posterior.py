@@ -26,6 +26,7 @@ __all__ = ["DRAWS", "Posterior", "Travel", "posterior", "span_of", "travel"]
 
 #: Draws of a posterior: the ends of a 90 % interval to 3 % of a standard deviation.
 DRAWS = 4000
+_BLOCK_SECONDS = 1.0
 _REACHED = 0.05  # s that have to lie beyond a point before it counts as excited
 
 
@@ -110,7 +111,13 @@ def posterior(
     information = jacobian.T @ jacobian + precision
     sample = noise.row if isinstance(noise, Whitener) else np.arange(residual.size) % len(problem.data.block)
     inverse = np.asarray(np.linalg.inv(information), dtype=np.float64)
-    covariance = _widened(inverse, jacobian, residual, precision, problem.data.block[sample])
+    seconds = np.arange(residual.size) // max(8, int(_BLOCK_SECONDS * problem.measured.rate))
+    blocks = (
+        (problem.data.block[sample], seconds)
+        if seconds[-1] > 2 * len(inverse)
+        else (problem.data.block[sample],)
+    )
+    covariance = _widened(inverse, jacobian, residual, precision, blocks)
     if doubt is not None:
         covariance = covariance + np.outer(doubt, doubt)
     d = len(problem.space)
@@ -140,18 +147,23 @@ def posterior(
 
 
 def _widened(
-    covariance: Floats, jacobian: Floats, residual: Floats, precision: Floats, block: NDArray[np.intp]
+    covariance: Floats,
+    jacobian: Floats,
+    residual: Floats,
+    precision: Floats,
+    blocks: Sequence[NDArray[np.intp]],
 ) -> Floats:
-    """The covariance with each deviation at least that of the jackknife over the ``block`` (R,) of each residual: by how
-    much a Gauss-Newton step moves the fit when a block is left out (MacKinnon and White 1985; CR3 of clusters)."""
-    information, count = np.linalg.inv(covariance), int(block.max()) + 1
-    moved = np.zeros((count, len(covariance)))
-    order = np.argsort(block, kind="stable")
-    for b, rows in enumerate(np.split(order, np.searchsorted(block[order], np.arange(1, count)))):
-        own = jacobian[rows]
-        moved[b] = np.linalg.solve(information - own.T @ own, own.T @ residual[rows])
-    robust = moved.T @ moved * ((count - 1.0) / count) + covariance @ precision @ covariance
-    ratio = np.sqrt(np.maximum(np.diag(robust) / np.diag(covariance), 1.0))
+    """The covariance with each deviation at least that of the jackknife over each of the ``blocks`` (R,) of residuals:
+    by how much a Gauss-Newton step moves the fit when a block is left out (MacKinnon and White 1985; CR3 of clusters)."""
+    information, ratio = np.linalg.inv(covariance), np.ones(len(covariance))
+    for block in blocks:
+        order, count = np.argsort(block, kind="stable"), int(block.max()) + 1
+        moved = np.zeros((count, len(covariance)))
+        for b, rows in enumerate(np.split(order, np.searchsorted(block[order], np.arange(1, count)))):
+            own = jacobian[rows]
+            moved[b] = np.linalg.solve(information - own.T @ own, own.T @ residual[rows])
+        robust = moved.T @ moved * ((count - 1.0) / count) + covariance @ precision @ covariance
+        ratio = np.maximum(ratio, np.sqrt(np.diag(robust) / np.diag(covariance)))
     widened = covariance * ratio[:, None] * ratio[None, :]
     return np.asarray(0.5 * (widened + widened.T))
 
