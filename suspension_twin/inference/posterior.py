@@ -2,9 +2,10 @@
 """Uncertainty: posterior, intervals and excited ranges of the parameters.
 
 The posterior about the best fit is Gaussian in slope coordinates (Laplace), with the curvature of whitened residuals.
-It is widened where the fit moves more when a block of road is left out, with all channels and passes of it (jackknife):
-model discrepancy is the same on every pass. The static compression of a spring is a direction in which Laplace fails:
-the likelihood is evaluated on a grid there (``spring_position``). Intervals of forces are quantiles of draws."""
+It is widened where the scores of blocks scatter more (sandwich): blocks of road, with all channels and passes, on which
+model discrepancy is the same, and blocks of a second. The static compression of a spring is a direction in which
+Laplace fails: the likelihood is evaluated on a grid there (``spring_position``). Intervals of forces are quantiles of
+draws."""
 
 from __future__ import annotations
 
@@ -112,11 +113,7 @@ def posterior(
     sample = noise.row if isinstance(noise, Whitener) else np.arange(residual.size) % len(problem.data.block)
     inverse = np.asarray(np.linalg.inv(information), dtype=np.float64)
     seconds = np.arange(residual.size) // max(8, int(_BLOCK_SECONDS * problem.measured.rate))
-    blocks = (
-        (problem.data.block[sample], seconds)
-        if seconds[-1] > 2 * len(inverse)
-        else (problem.data.block[sample],)
-    )
+    blocks = [problem.data.block[sample], *([seconds] if seconds[-1] >= 2 * len(inverse) else [])]
     covariance = _widened(inverse, jacobian, residual, precision, blocks)
     if doubt is not None:
         covariance = covariance + np.outer(doubt, doubt)
@@ -153,16 +150,21 @@ def _widened(
     precision: Floats,
     blocks: Sequence[NDArray[np.intp]],
 ) -> Floats:
-    """The covariance with each deviation at least that of the jackknife over each of the ``blocks`` (R,) of residuals:
-    by how much a Gauss-Newton step moves the fit when a block is left out (MacKinnon and White 1985; CR3 of clusters)."""
-    information, ratio = np.linalg.inv(covariance), np.ones(len(covariance))
+    """The covariance with each deviation at least that by the scores of each of the ``blocks`` (R,) of residuals
+    (sandwich), each score over the root of what is not its own block's share: unbiased where the model is right (CR2 of
+    Bell and McCaffrey, Survey Methodology 28, 2002)."""
+    root, ratio = np.linalg.cholesky(covariance), np.ones(len(covariance))
     for block in blocks:
         order, count = np.argsort(block, kind="stable"), int(block.max()) + 1
+        if count < 2:  # nothing tells how a fit to other data would differ
+            continue
         moved = np.zeros((count, len(covariance)))
         for b, rows in enumerate(np.split(order, np.searchsorted(block[order], np.arange(1, count)))):
-            own = jacobian[rows]
-            moved[b] = np.linalg.solve(information - own.T @ own, own.T @ residual[rows])
-        robust = moved.T @ moved * ((count - 1.0) / count) + covariance @ precision @ covariance
+            own = jacobian[rows] @ root
+            share, axes = np.linalg.eigh(own.T @ own)
+            left = np.sqrt(np.maximum(1.0 - share, 1e-9))
+            moved[b] = root @ (axes @ ((axes.T @ (own.T @ residual[rows])) / left))
+        robust = moved.T @ moved + covariance @ precision @ covariance
         ratio = np.maximum(ratio, np.sqrt(np.diag(robust) / np.diag(covariance)))
     widened = covariance * ratio[:, None] * ratio[None, :]
     return np.asarray(0.5 * (widened + widened.T))

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.linalg import fractional_matrix_power
 from scipy.stats import norm
 
 from suspension_twin.drive.read import read_drive
@@ -145,9 +146,9 @@ def test_a_single_block_leaves_the_inverse_of_data_and_prior(corner: Twin) -> No
 
 
 @pytest.mark.parametrize("blocks", [3, 10, 23])
-def test_where_fits_without_a_block_scatter_more_it_is_their_jackknife(corner: Twin, blocks: int) -> None:
-    """Standard deviations are at least those of the fits that leave out one block each, with the prior's own part;
-    correlations are those of the inverse information C."""
+def test_where_the_scores_of_blocks_scatter_more_it_is_their_sandwich(corner: Twin, blocks: int) -> None:
+    """Standard deviations are at least those by the scores of blocks, each corrected in the space of its residuals by
+    (1 - H)^(-1/2), H = A C A' (CR2), with the prior's own part; correlations are those of the inverse information C."""
     space, rng = space_of(corner, (*DAMPER, *MASS)), np.random.default_rng(4)
     p, size = len(space) + 2, int(RATE)
     a = rng.standard_normal((blocks, size, p)) * [1.0, 2.0, 0.5, 1.0, 1.0]
@@ -156,29 +157,16 @@ def test_where_fits_without_a_block_scatter_more_it_is_their_jackknife(corner: T
     a[:, :, [0, 3]] = np.abs(a[:, :, [0, 3]])
     noise += 3.0 * rng.standard_normal((blocks, 1))
     precision = some_precision(rng, p)
-    centre = np.concatenate([space.z0, [0.0, 0.0]])
-
-    def fit(kept: list[int]) -> np.ndarray:
-        """The optimum of some blocks and the prior, about ``centre``."""
-        slopes, off = a[kept].reshape(-1, p), noise[kept].ravel()
-        return np.asarray(-np.linalg.solve(slopes.T @ slopes + precision, slopes.T @ off))
-
-    every = list(range(blocks))
-    best = fit(every)
-    # the same lines with the optimum at the centre
-    noise = noise + a @ best
-    pull = precision @ best
-    lines = Lines(a.reshape(-1, p), centre, noise.ravel())
+    lines = Lines(a.reshape(-1, p), np.concatenate([space.z0, [0.0, 0.0]]), noise.ravel())
     found = asked(space, lines, precision)
 
     plain = np.linalg.inv(lines.a.T @ lines.a + precision)
-    moved = []
-    for k in every:
-        left = a[[b for b in every if b != k]].reshape(-1, p)
-        own = noise[[b for b in every if b != k]].ravel()
-        moved.append(np.linalg.solve(left.T @ left + precision, left.T @ own + pull))
-    jackknife = (blocks - 1) / blocks * sum(np.outer(m, m) for m in moved) + plain @ precision @ plain
-    deviation = np.sqrt(np.maximum(np.diag(plain), np.diag(jackknife)))
+    scores = [
+        own.T @ fractional_matrix_power(np.eye(size) - own @ plain @ own.T, -0.5) @ off
+        for own, off in zip(a, noise, strict=True)
+    ]
+    sandwich = plain @ (sum(np.outer(g, g) for g in scores) + precision) @ plain
+    deviation = np.sqrt(np.maximum(np.diag(plain), np.diag(sandwich)))
     assert (deviation > np.sqrt(np.diag(plain)) + 1e-6).any()
     correlation = plain / np.sqrt(np.outer(np.diag(plain), np.diag(plain)))
     np.testing.assert_allclose(
