@@ -198,8 +198,8 @@ class Yardstick:
 
     @property
     def is_worse(self) -> bool:
-        """Whether the given twin explains more, by more than a hundredth of the variance: a sound twin that is
-        calibrated anew comes out less than that apart, by chance."""
+        """Whether the given twin explains more, by more than a hundredth of the variance (a tolerance, by hand: a twin
+        that was calibrated on a drive and is calibrated on it again comes out a thousandth apart)."""
         return self.given > self.twin + 1e-2
 
     def __str__(self) -> str:
