@@ -42,7 +42,8 @@ _METRES: Final = math.radians(6_371_000.0)  # m of a degree on the mean sphere
 _INTERVALS, _FEWEST = 25, 2
 
 
-#: s between positions of usual receivers (1 to 10 Hz), and how many more have to be written for them to be looked for.
+#: s between positions of usual receivers (1 to 10 Hz, by their data sheets), and how many more have to be written for
+#: them to be looked for (tolerance, by hand).
 _RECEIVERS, _WRITTEN = (1.0, 0.5, 0.2, 0.1), 4
 #: Which of the positions that may be computed ones are looked at: those where the velocity changes most, so many at
 #: least, where a curve leaves its chord by so many m (tolerances, by hand). Of that, positions between computed ones

@@ -52,9 +52,11 @@ _UNEVEN: Final = 0.1
 #: by half a period in five standard deviations. A clock is even over so many times as many samples: known to 1/57 of a
 #: period (numerics).
 _ASIDE, _EVEN = 2 * 10.0**2, 16
-#: An even clock is taken that makes the signals smoother by this share: where it gains less, little was lost.
+#: An even clock is taken that makes the signals smoother by this share: where it gains less, little was lost
+#: (tolerance, by hand).
 _SMOOTHER: Final = 0.1
-#: Standard deviation of a stamp over the median deviation of an interval, normally distributed.
+#: Standard deviation of a stamp over the median deviation of an interval: 1.4826 is that of a normal distribution, and
+#: an interval has the errors of two stamps (statistics).
 _OF_A_STEP: Final = 1.4826 / math.sqrt(2.0)
 
 

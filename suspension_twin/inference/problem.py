@@ -84,7 +84,7 @@ def segments_of(rows: NDArray[np.intp], offset: int) -> list[slice]:
     return [slice(offset + a, offset + b) for a, b in zip(bounds, bounds[1:], strict=False)]
 
 
-_APART = 100_000  # between the numbers of blocks of two drives that share none
+_APART = 100_000  # between the numbers of blocks of two drives that share none: more than a drive has (definition)
 
 
 @dataclass(frozen=True, eq=False)
