@@ -63,6 +63,8 @@ REACH = 3.0
 STEP, _STEP_EFFECT = 1e-3, 1e-2
 #: Prior correlation of the logarithms of neighbouring slopes of a characteristic.
 CORRELATION = SINGLE["slopes"]
+#: Between the numbers of blocks of two drives that share none: more than a drive has (definition).
+_APART = 100_000
 # Simulated signals kept at once, in numbers: 25 million are 200 MB.
 _LARGEST_BATCH = 25_000_000
 
@@ -82,9 +84,6 @@ def segments_of(rows: NDArray[np.intp], offset: int) -> list[slice]:
     edges = np.flatnonzero(np.diff(rows) > 1) + 1
     bounds = [0, *edges.tolist(), rows.size]
     return [slice(offset + a, offset + b) for a, b in zip(bounds, bounds[1:], strict=False)]
-
-
-_APART = 100_000  # between the numbers of blocks of two drives that share none: more than a drive has (definition)
 
 
 @dataclass(frozen=True, eq=False)
