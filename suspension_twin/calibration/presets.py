@@ -185,6 +185,8 @@ def refined(twin: Twin, kept: Sequence[str] = ()) -> Twin:
         changes[damping] = 0.0
     if twin.model in LINKAGE.models:
         for name in twin.axles:
+            if not has_part(twin, f"vehicle.{name}.friction"):
+                changes[f"vehicle.{name}.friction"] = 0.0
             if not has_part(twin, f"vehicle.{name}.linkage"):
                 changes[f"vehicle.{name}.linkage"] = {}
         if not has_part(twin, "vehicle.tyre.rolling_radius"):
