@@ -97,7 +97,7 @@ def fast(rough_case: Any) -> tuple[CalibrationResult, list[Progress]]:
 
 def truth_of(case: Any, result: CalibrationResult) -> dict[str, float]:
     """Numbers of the truth by key, of curves at the points of the result: a spring's counted from the standing car, as
-    a shift along its travel changes no signal. Links that the truth has not are 0."""
+    a shift along its travel changes no signal. Links and friction that the truth has not are 0."""
 
     def force(key: str) -> float:
         curve, _, index = key.rpartition(".force.")
@@ -113,7 +113,7 @@ def truth_of(case: Any, result: CalibrationResult) -> dict[str, float]:
         return force(key) if ".force." in key else float(twin_value(case.truth, key)) if known(key) else 0.0
 
     def known(key: str) -> bool:
-        return ".linkage." not in key and not key.endswith("rolling_radius")
+        return ".linkage." not in key and not key.endswith(("rolling_radius", ".friction"))
 
     return {e.key: number(e.key) for e in result.estimates}
 
