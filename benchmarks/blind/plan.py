@@ -2,7 +2,7 @@
 """Which cases there are: kinds, effects, severities, seeds and realities, in an order to take a sample from.
 
 Development and the sets for reporting use other worlds. A case's name says nothing about it. The plans ``train`` (for
-development) and ``report4`` (to report on) have the whole library, more that is outside it, four scenes and twins that
+development), ``report4`` and ``report5`` (to report on) have the whole library, more that is outside it, four scenes and twins that
 were calibrated beforehand; every case of theirs has a world of its own.
 """
 
@@ -40,6 +40,7 @@ Seeds = Literal[
     "links",
     "train",
     "report4",
+    "report5",
     "measured_dev",
     "measured",
     "flexible_dev",
@@ -54,12 +55,12 @@ REALITIES = ("newton", "multibody")
 #: Seeds whose cars are the ones with linkages: fewer cases, and none of them faint.
 LINKS = ("links_dev", "links")
 _LINKAGE = "linkage"
-#: Plans of the whole library, and how many rounds through all kinds of cases they have; ``report4`` has the first cases
-#: of a round alone.
-WIDE = {"train": 3, "report4": 1, "flexible_dev": 1, "flexible": 1}
+#: Plans of the whole library, and how many rounds through all kinds of cases they have; of those to report on the first
+#: cases of a round alone.
+WIDE = {"train": 3, "report4": 1, "report5": 1, "flexible_dev": 1, "flexible": 1}
 #: Those of one reality alone.
 _ONE_REALITY = {"flexible_dev": "flexible", "flexible": "flexible"}
-_REPORTED = 280
+_REPORTED = {"report4": 280, "report5": 300}
 _FIRST = {
     "dev": 1000,
     "report": 500_000,
@@ -75,6 +76,7 @@ _FIRST = {
     "flexible": 10_000_000,
     "setup_dev": 11_000_000,
     "setup": 12_000_000,
+    "report5": 13_000_000,
 }
 #: Seeds of set-up errors, gross ones among them, with a road and without one.
 SET_UP = ("setup_dev", "setup")
@@ -181,7 +183,7 @@ def plan(seeds: Seeds, short: bool = False) -> list[Spec]:
         for i, spec in enumerate(cases)
     ]
     everything = [spec for *_, spec in sorted(placed, key=lambda p: p[:3])]
-    everything = everything[:_REPORTED] if seeds == "report4" else everything
+    everything = everything[: _REPORTED.get(seeds)]
     return _short(everything) if short else everything
 
 
@@ -288,7 +290,7 @@ def _wide(seeds: Seeds, kind: Kind) -> Iterator[Spec]:
                     effects=effects,
                     severity=severity,
                     world=_FIRST[seeds] + 20_000 * KINDS.index(kind) + number,
-                    reality=_ONE_REALITY.get(seeds) or _drawn(coin, msd),
+                    reality=_ONE_REALITY.get(seeds) or _drawn(coin, msd, flexible=seeds == "report5"),
                     reference=way == "before",
                     right=way == "right",
                     msd=msd,
@@ -300,9 +302,10 @@ def _wide(seeds: Seeds, kind: Kind) -> Iterator[Spec]:
                 number += 1
 
 
-def _drawn(coin: int, msd: bool) -> str:
+def _drawn(coin: int, msd: bool, flexible: bool) -> str:
     """A reality; wheels on linkages have a mass."""
-    return REALITIES[coin % 2] if msd else (*REALITIES, _LINKAGE)[coin % 3]
+    cars = (*REALITIES, _LINKAGE, *(["flexible"] if flexible else []))
+    return REALITIES[coin % 2] if msd else cars[coin % len(cars)]
 
 
 def _wide_cases(kind: Kind, turn: int) -> Iterator[tuple[tuple[str, ...], float, tuple[str, ...]]]:

@@ -85,9 +85,7 @@ def assess(setup: Setup, outcome: SearchOutcome, seed: int) -> Uncertainty:
 
     def around(x: Floats) -> Posterior:
         where = _travel_at(setup, problem, x)
-        return posterior(
-            problem, weighing, x, precision, where, seed, placed=outcome.placed, doubt=doubt
-        )
+        return posterior(problem, weighing, x, precision, where, seed, placed=outcome.placed, doubt=doubt)
 
     for _ in range(3):
         found = around(x)
