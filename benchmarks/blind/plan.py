@@ -2,8 +2,8 @@
 """Which cases there are: kinds, effects, severities, seeds and realities, in an order to take a sample from.
 
 Development and the sets for reporting use other worlds. A case's name says nothing about it. The plans ``train`` (for
-development), ``report4`` and ``report5`` (to report on) have the whole library, more that is outside it, four scenes and twins that
-were calibrated beforehand; every case of theirs has a world of its own.
+development), ``report4`` and ``report5`` (to report on) have the whole library, more that is outside it, four scenes
+and twins that were calibrated beforehand; every case of theirs has a world of its own.
 """
 
 from __future__ import annotations
