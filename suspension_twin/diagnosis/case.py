@@ -51,6 +51,7 @@ from suspension_twin.inference.space import Space
 from suspension_twin.models.constants import Conditions, outside
 from suspension_twin.models.excitation import coarser
 from suspension_twin.models.parameters import has_number, layout, pack, twin_value
+from suspension_twin.models.parts import OPTIONAL_PARTS
 from suspension_twin.models.registry import model_of
 from suspension_twin.models.types import Excitation, RepeatedRun
 from suspension_twin.road import flat_road
@@ -75,7 +76,8 @@ _STEP = 2.5e-3
 _OF_A_PERIOD = 0.03
 #: Corrections of a low-pass (numerics): at its cut-off, where half is passed, a sixteenth is left.
 _CORRECTIONS = 4
-#: Free beside the characteristics: parameters that no weighbridge measures.
+#: Free beside the characteristics: parameters that no weighbridge measures. Of the optional parts those alone that no
+#: effect acts as: a fault of friction or tyre damping would else be taken for a wrong number of the twin file.
 ALSO = (
     "vehicle.sprung_inertia.roll",
     "vehicle.sprung_inertia.pitch",
@@ -83,7 +85,7 @@ ALSO = (
     "vehicle.front.unsprung_mass",
     "vehicle.rear.unsprung_mass",
     "vehicle.unsprung_mass",
-    *PART_KEYS,
+    *(key for key in PART_KEYS if key in OPTIONAL_PARTS["linkage"].keys.values()),
 )
 #: Free without a road, where the drives hold no information on the characteristics but on how far the body leans.
 _LEANING = ("vehicle.cog.2",)

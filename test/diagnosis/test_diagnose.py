@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from suspension_twin.calibration.presets import refined
 from suspension_twin.cli.main import main
 from suspension_twin.diagnosis import search
 from suspension_twin.diagnosis.answer import decided_anew, write
@@ -23,6 +24,7 @@ from suspension_twin.errors import InputError
 from suspension_twin.inference.sensor_correction import SensorCorrection
 from suspension_twin.inference.simulated import simulate_drive
 from suspension_twin.inference.synthetic import synthetic_drive
+from suspension_twin.models.parameters import twin_value
 from suspension_twin.report.diagnosis import diagnosis_page
 from suspension_twin.road import write_road
 from suspension_twin.road.roughness import iso8608_road
@@ -87,6 +89,16 @@ def test_friction_is_found_with_its_size_and_the_written_twin_closes_the_gap(
     before = simulate_drive(drive, load_twin(case[0])).gap
     after = simulate_drive(drive, twin).gap
     assert after.rms < 0.4 * before.rms
+
+
+def test_friction_beyond_that_of_a_calibrated_file_is_no_wrong_number_of_it(make: Any, car: Twin) -> None:
+    """What a fault adds to an optional part is named, with its size; the part itself stays as the file has it."""
+    known = refined(car).with_changes({f"vehicle.{axle}.friction": 15.0 for axle in car.axles})
+    found = diagnose(ask(make("strut_friction", {"front_force": 120.0, "rear_force": 120.0}, car=known)))
+    assert found.document["combination"] == ["strut_friction"], found.document["message"]
+    assert found.document["causes"][0]["parameters"]["front_force"] == pytest.approx(120, rel=0.25)
+    assert twin_value(found.twin, "vehicle.front.friction") == 15.0
+    assert not [r for r in found.document["recalibrated"] if "friction" in r["characteristic"]]
 
 
 def test_a_late_clock_is_found_without_a_reference(make: Any) -> None:
