@@ -191,7 +191,7 @@ def _drive_section(drive: DriveFit) -> Section:
         )
     figures += [
         (_spectra(drive), "Power spectral densities."),
-        (_two_sided(drive), "Amplitude spectra as the car paper's Fig. 11 has them."),
+        (_amplitude_spectra(drive), "Amplitude spectra: the car paper's Fig. 11 without its mirror image."),
         (_by_road(drive), "Residual by position along the road."),
     ]
     if drive.received is not None:
@@ -264,10 +264,10 @@ def _spectra(drive: DriveFit) -> Figure:
     )
 
 
-def _two_sided(drive: DriveFit) -> Figure:
+def _amplitude_spectra(drive: DriveFit) -> Figure:
     signals = _longest(drive)
     found = {r: power_spectrum(signals[r], drive.rate) for r in ("measured", "simulated", "before")}
-    return plots.two_sided(
+    return plots.amplitude_spectra(
         found["measured"][0], {r: amplitude for r, (_, amplitude) in found.items()}, names=_NAMES
     )
 

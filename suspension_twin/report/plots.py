@@ -26,6 +26,7 @@ from suspension_twin.vehicle.corners import CORNERS, WHEELS
 __all__ = [
     "Window",
     "agreement",
+    "amplitude_spectra",
     "car_from_above",
     "convergence",
     "in_frequency",
@@ -33,7 +34,6 @@ __all__ = [
     "passes",
     "path_map",
     "residual_by_road",
-    "two_sided",
 ]
 
 ACCELERATION = "vertical acceleration [m/s²]"
@@ -166,22 +166,22 @@ def in_frequency(
     return fig
 
 
-def two_sided(
+def amplitude_spectra(
     frequency: Floats,
     amplitudes: Mapping[str, Floats],
     *,
     limit: float = 10.0,
     names: Mapping[str, str] | None = None,
 ) -> Figure:
-    """The car paper's Fig. 11: amplitude spectra over -``limit`` to ``limit`` Hz, m/s².
+    """The car paper's Fig. 11 without its mirror image: amplitude spectra up to ``limit`` Hz, m/s².
 
     ``amplitudes`` maps a role to its spectrum (f,), as ``signals.spectra.power_spectrum`` gives it.
     """
-    keep = np.abs(frequency) <= limit
+    keep = (frequency >= 0.0) & (frequency <= limit)
     with style.drawing(9.2, 3.2) as (fig, axes):
         for role, amplitude in amplitudes.items():
             _line(axes, role, frequency[keep], amplitude[keep], label=(names or {}).get(role, role))
-        axes.set(xlabel="frequency [Hz]", ylabel="amplitude [m/s²]", xlim=(-limit, limit))
+        axes.set(xlabel="frequency [Hz]", ylabel="amplitude [m/s²]", xlim=(0, limit))
         axes.set_ylim(bottom=0)
         _legend(fig, axes)
     return fig
