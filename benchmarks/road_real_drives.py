@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Roads from a real car's drives: does the road of one pass predict the vertical acceleration of another?
 
-    python benchmarks/road_real_drives.py [--data DIR] [--pairs N] [--json] [--pictures DIR]
+    python benchmarks/road_real_drives.py [--data DIR] [--pairs N] [--felt SEEDS] [--json] [--pictures DIR]
 
 rtklibexplorer's ``GNSS_IMU`` (a car with a roof IMU and an RTK receiver, see ``../shared/data`` or
 SUSPENSION_TWIN_DATA): every stretch that is driven twice in the same direction, the bump at 337.6 and 362.6 s among
@@ -11,6 +11,9 @@ where it is documented. Nothing is calibrated.
 For each ordered pair of passes the road is estimated from the one, the twin drives over it along the other's path, and
 its vertical acceleration is compared with the measured one. Beside it the first pass's own measured acceleration, by
 place on the road. Both may be shifted along the road by up to 0.75 m and scaled, whichever fits the second pass best.
+
+``--felt``: the second pass with a phone's receiver of each seed (``phone.py``) is placed on that road by what was felt;
+how far its place along the road is from that by RTK, beside the receiver's own error, or why it is not placed.
 """
 
 from __future__ import annotations
@@ -19,7 +22,7 @@ import argparse
 import json
 import os
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -27,6 +30,7 @@ import numpy as np
 from extras import unavailable
 from matplotlib.figure import Figure
 from options import parse_options
+from phone import phone_grade
 
 from suspension_twin.addons.roads.drives.drives import DrivenPart, road_from_drives, surface_of
 from suspension_twin.addons.roads.drives.estimate import RoadEstimateSettings
@@ -34,9 +38,11 @@ from suspension_twin.addons.roads.pictures import estimate_figure, save_picture
 from suspension_twin.arrays import Floats, runs
 from suspension_twin.drive.importing import import_drive
 from suspension_twin.drive.types import Drive
+from suspension_twin.errors import SuspensionTwinError
 from suspension_twin.inference.observation import Observation, observe
+from suspension_twin.inference.placement import on_one_clock, place
 from suspension_twin.models.simulate import simulate_twin
-from suspension_twin.road import flat_road
+from suspension_twin.road import Road, flat_road
 from suspension_twin.vehicle.twin import Datum, Imu, Place, Twin, load_twin
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -121,7 +127,40 @@ def best(prediction: Any, measured: Floats) -> tuple[float, float, float]:
     return max(scores)
 
 
-def judged(drive: Drive, twin: Twin, whole: Observation, pair: Pair, picture: Path | None) -> dict[str, Any]:
+def ahead_of(place: Observation, whole: Observation, span: tuple[float, float]) -> float:
+    """m by which an observation lies ahead of another of the same drive, the mean over ``span`` s of the drive."""
+    path, true = place.trajectory, whole.trajectory
+    t = path.t - true.t[0]
+    on = (t >= span[0]) & (t <= span[1])
+    x, y, yaw = (np.interp(t[on], true.t - true.t[0], v) for v in (true.x, true.y, np.unwrap(true.yaw)))
+    return float(np.mean((path.x[on] - x) * np.cos(yaw) + (path.y[on] - y) * np.sin(yaw)))
+
+
+def felt_place(
+    drive: Drive, twin: Twin, road: Road, whole: Observation, span: tuple[float, float], seed: int
+) -> dict[str, Any]:
+    """A pass over ``span`` s with a phone's receiver, placed on the road by what was felt."""
+    assert twin.datum is not None
+    begin, end = (float(whole.t[0]) + at for at in (span[0] - MARGIN + 0.5, span[1] + MARGIN - 0.5))
+    phone = phone_grade(drive, twin.datum, seed)
+    imu, fix, velocity = (
+        part.select(np.flatnonzero((part.t >= begin) & (part.t <= end)))
+        for part in (phone.imu, phone.fix, phone.velocity)
+    )
+    row: dict[str, Any] = {"seed": seed}
+    try:
+        read = on_one_clock(observe(replace(phone, imu=imu, fix=fix, velocity=velocity), twin, road))
+        row["receiver"] = ahead_of(read, whole, span)
+        where = place(read, twin)
+        row["felt"] = row["receiver"] if where is None else ahead_of(where.kept(read), whole, span)
+    except SuspensionTwinError as error:
+        row["error"] = str(error)
+    return row
+
+
+def judged(
+    drive: Drive, twin: Twin, whole: Observation, pair: Pair, picture: Path | None, seeds: int
+) -> dict[str, Any]:
     """One ordered pair: the road of the first pass under the second."""
     (a0, a1), (b0, b1) = pair.first, pair.second
     found = road_from_drives(
@@ -175,6 +214,7 @@ def judged(drive: Drive, twin: Twin, whole: Observation, pair: Pair, picture: Pa
         "pass": pass_r,
         "rms": float(np.std(measured[k])),
         "left": left,
+        "felt": [felt_place(drive, twin, road, whole, pair.second, seed) for seed in range(seeds)],
     }
 
 
@@ -215,7 +255,7 @@ def study(drive: Drive, twin: Twin, near: float, bump: bool, asked: argparse.Nam
             if pictures is not None:
                 picture = pictures / f"road_real_{pair.name.replace(' ', '')}{way.strip()}.png"
             try:
-                rows.append({"name": pair.name + way, **judged(drive, twin, whole, one, picture)})
+                rows.append({"name": pair.name + way, **judged(drive, twin, whole, one, picture, asked.felt)})
             except ValueError as error:
                 rows.append({"name": pair.name + way, "error": str(error)})
             _say(rows[-1], sys.stderr if asked.json else sys.stdout)
@@ -233,6 +273,9 @@ def _say(row: dict[str, Any], out: TextIO) -> None:
         file=out,
         flush=True,
     )
+    for own in row["felt"]:
+        text = own.get("error") or f"{own['felt']:+.2f} m, its receiver {own['receiver']:+.2f} m"
+        print(f"    phone {own['seed']}: {text}", file=out, flush=True)
 
 
 def main() -> None:
@@ -246,9 +289,10 @@ def main() -> None:
     parser.add_argument(
         "--pairs", type=int, metavar="N", help="the first N of each recording; all by default"
     )
+    parser.add_argument("--felt", type=int, default=0, metavar="SEEDS", help="phones that are placed by feel")
     parser.add_argument("--pictures", type=Path)
     parser.add_argument("--json", action="store_true")
-    asked = parse_options(parser, pairs=1)
+    asked = parse_options(parser, pairs=1, felt=1)
     for name in ("rtklibexplorer_GNSS_IMU", "comma2k19_Example_1"):
         if not (asked.data / name).is_dir():
             unavailable(f"{asked.data / name} is not there: name the folder of measured data with --data")
