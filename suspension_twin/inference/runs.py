@@ -143,7 +143,8 @@ def observe_rig(
     names the run: too short, too slow for the filter, or with samples missing.
     """
     t, columns, spec = record.t - record.t[0], record.columns, spec or FilterSpec()
-    run = rig_run(t, *(_input(columns, q) for q in (*_INPUTS, "actuator_force")), max_step=max_step)
+    road, speed, force = (_input(columns, q) for q in (*_INPUTS, "actuator_force"))
+    run = rig_run(t, road, speed, force, max_step)
     try:
         path = Conditioner.for_stamps(t, spec)
     except InputError as error:

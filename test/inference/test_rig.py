@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
-from scipy.signal import StateSpace, butter, lsim, sosfilt, sosfiltfilt
+from scipy.signal import butter, lsim, sosfilt, sosfiltfilt
 
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.request import CalibrationRequest
@@ -216,12 +216,10 @@ def shaken(twin: Twin, seconds: float) -> RigRecord:
     for corner in range(4):
         axle = vehicle.front if corner < 2 else vehicle.rear
         k, c = (4.0 * part.force[0] / vehicle.mass for part in (axle.spring, axle.damper_push))
-        body = StateSpace(
-            [[0.0, 1.0], [-k, -c]], [[0.0, 0.0], [k, c]], [[0.0, 1.0], [-k, -c]], [[0, 0], [k, c]]
-        )
-        rates[:, corner], moved[:, corner] = lsim(body, np.stack([hubs[:, corner], speed[:, corner]], 1), t)[
-            1
-        ].T
+        body = np.array([[0.0, 1.0], [-k, -c]]), np.array([[0.0, 0.0], [k, c]])
+        driven = np.column_stack([hubs[:, corner], speed[:, corner]])
+        _, read, _ = lsim((*body, *body), driven, t)
+        rates[:, corner], moved[:, corner] = read.T
     x, y, _ = twin.imu.position
 
     def plane(corners: Floats) -> tuple[Floats, Floats, Floats]:
