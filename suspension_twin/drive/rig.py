@@ -28,9 +28,9 @@ from suspension_twin.drive.stamps import of_one_recording
 from suspension_twin.errors import InputError
 from suspension_twin.files import comment_lines, read_bytes, reader, replacing
 from suspension_twin.units import STANDARD_GRAVITY
-from suspension_twin.vehicle.corners import CORNERS
 
 __all__ = [
+    "HUBS",
     "QUANTITIES",
     "RigRecord",
     "checked_rig",
@@ -46,6 +46,8 @@ _SPEED: Final = {"m_s": 1.0, "mm_s": 1e-3}
 _ACCELERATION: Final = {"m_s2": 1.0, "g": STANDARD_GRAVITY}
 _FORCE: Final = {"n": 1.0, "kn": 1e3}
 _RATE: Final = {"rad_s": 1.0, "deg_s": math.pi / 180.0}
+#: Before the columns of each wheel of a car.
+HUBS: Final = ("front_left_", "front_right_", "rear_left_", "rear_right_")
 #: Units of each quantity, the SI unit first, and the largest range on any rig: beyond it the unit is another.
 QUANTITIES: Final[Mapping[str, tuple[Mapping[str, float], float]]] = {
     "time": ({"s": 1.0, "ms": 1e-3}, np.inf),
@@ -61,8 +63,8 @@ QUANTITIES: Final[Mapping[str, tuple[Mapping[str, float], float]]] = {
     "vertical_acceleration": (_ACCELERATION, 5000.0),
     "roll_rate": (_RATE, 100.0),
     "pitch_rate": (_RATE, 100.0),
-    **{f"{corner}_wheel_displacement": (_LENGTH, 5.0) for corner in CORNERS},
-    **{f"{corner}_wheel_acceleration": (_ACCELERATION, 5000.0) for corner in CORNERS},
+    **{f"{hub}wheel_displacement": (_LENGTH, 5.0) for hub in HUBS},
+    **{f"{hub}wheel_acceleration": (_ACCELERATION, 5000.0) for hub in HUBS},
 }
 _LARGEST: Final = 1 << 30  # bytes of a table
 _ROAD: Final = ("road_displacement", "road_velocity")
@@ -134,11 +136,12 @@ def driven_by_wheel(record: RigRecord, wheels: Sequence[str] = ("",)) -> RigReco
     from scipy.signal import butter, sosfiltfilt  # a calibration does not wait for it
 
     sos = butter(2, _LOWEST, "highpass", fs=rate, output="sos")
+    beyond = min(record.t.size - 1, round(rate / _LOWEST))
 
     def speed(pull: Floats) -> Floats:
-        return np.asarray(
-            sosfiltfilt(sos, CubicSpline(record.t, pull - pull.mean()).antiderivative()(record.t))
-        )
+        drifting = CubicSpline(record.t, pull - pull.mean()).antiderivative()(record.t)
+        # mirrored beyond both ends, where the wheel goes on moving
+        return np.asarray(sosfiltfilt(sos, drifting, padtype="even", padlen=beyond))
 
     return replace(record, columns={**{f"{w}road_velocity": speed(p) for w, p in pulls.items()}, **kept})
 

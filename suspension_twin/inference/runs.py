@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 from suspension_twin.arrays import Floats
-from suspension_twin.drive.rig import QUANTITIES, RigRecord, driven_by_wheel, read_rig, write_rig
+from suspension_twin.drive.rig import HUBS, QUANTITIES, RigRecord, driven_by_wheel, read_rig, write_rig
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.files import together
 from suspension_twin.inference.gap import Comparison, Gap, write_gap
@@ -37,7 +37,6 @@ from suspension_twin.signals.common_rate import PER_PERIOD
 from suspension_twin.signals.conditioner import Conditioner
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.signals.noise_floor import spectral_floor
-from suspension_twin.vehicle.corners import CORNERS
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = [
@@ -283,8 +282,7 @@ class SimulatedRun(Comparison):
 def input_of(twin: Twin, record: RigRecord) -> RigRecord:
     """A run with what drives the twin as its road: the road, or the measured motion of the wheel."""
     if twin.on_wheel:
-        one = len(twin.joint_names) == 1
-        return driven_by_wheel(record, ("",) if one else [f"{corner}_" for corner in CORNERS])
+        return driven_by_wheel(record, ("",) if len(twin.joint_names) == 1 else HUBS)
     if not set(_INPUTS) & set(record.columns):
         raise InputError(record.name, "has no road: the twin file has to say excitation: wheel")
     return record
