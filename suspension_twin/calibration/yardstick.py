@@ -32,7 +32,6 @@ from suspension_twin.inference.problem import Problem
 from suspension_twin.inference.runs import repeats
 from suspension_twin.inference.space import CURVES, curve_keys
 from suspension_twin.models.parameters import twin_value
-from suspension_twin.models.registry import model_of
 from suspension_twin.models.types import Excitation
 from suspension_twin.vehicle.twin import Twin
 
@@ -82,9 +81,9 @@ def yardstick(setup: Setup, outcome: SearchOutcome, kept: NDArray[np.bool_]) -> 
 
     column = problem.channels.index(channel)
     linear = float("nan")
-    if setup.on_road and curve_keys(setup.twin):
+    if channel not in CORNER_CHANNELS and curve_keys(setup.twin):
         linear = share(_of_straight(setup, problem, x, part)[:, column])
-    elif channel in CORNER_CHANNELS and model_of(setup.twin).recordings == "rig":
+    elif channel in CORNER_CHANNELS:
         linear = share(_of_corner(problem, part, channel))
     return Yardstick(
         channel=channel,

@@ -9,8 +9,9 @@ accelerometers are ``/imu/data_raw`` on the body and ``/wheel/imu/data_raw`` on 
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -29,6 +30,7 @@ from suspension_twin.files import comment_lines, read_bytes, reader, replacing
 from suspension_twin.units import STANDARD_GRAVITY
 
 __all__ = [
+    "HUBS",
     "QUANTITIES",
     "RigRecord",
     "checked_rig",
@@ -43,6 +45,9 @@ _LENGTH: Final = {"m": 1.0, "mm": 1e-3}
 _SPEED: Final = {"m_s": 1.0, "mm_s": 1e-3}
 _ACCELERATION: Final = {"m_s2": 1.0, "g": STANDARD_GRAVITY}
 _FORCE: Final = {"n": 1.0, "kn": 1e3}
+_RATE: Final = {"rad_s": 1.0, "deg_s": math.pi / 180.0}
+#: Before the columns of each wheel of a car.
+HUBS: Final = ("front_left_", "front_right_", "rear_left_", "rear_right_")
 #: Units of each quantity, the SI unit first, and the largest range on any rig: beyond it the unit is another.
 QUANTITIES: Final[Mapping[str, tuple[Mapping[str, float], float]]] = {
     "time": ({"s": 1.0, "ms": 1e-3}, np.inf),
@@ -55,6 +60,11 @@ QUANTITIES: Final[Mapping[str, tuple[Mapping[str, float], float]]] = {
     "suspension_deflection": (_LENGTH, 2.0),
     "tyre_force": (_FORCE, 1e6),
     "actuator_force": (_FORCE, 1e6),
+    "vertical_acceleration": (_ACCELERATION, 5000.0),
+    "roll_rate": (_RATE, 100.0),
+    "pitch_rate": (_RATE, 100.0),
+    **{f"{hub}wheel_displacement": (_LENGTH, 5.0) for hub in HUBS},
+    **{f"{hub}wheel_acceleration": (_ACCELERATION, 5000.0) for hub in HUBS},
 }
 _LARGEST: Final = 1 << 30  # bytes of a table
 _ROAD: Final = ("road_displacement", "road_velocity")
@@ -65,7 +75,7 @@ _LOWEST: Final = 0.2
 #: s over which gravity is the mean of what a wheel feels, and the angle of a gyroscope's own does not drift: 10 s at
 #: 0.1 °/s is 1° (tolerance, by hand).
 _UPRIGHT: Final = 20.0
-_BODY: Final = ("body_acceleration", "body_displacement")
+_BODY: Final = ("body_acceleration", "body_displacement", "vertical_acceleration")
 _ACCELEROMETERS: Final = {"/imu/data_raw": "body_acceleration", "/wheel/imu/data_raw": "wheel_acceleration"}
 _JOINTS: Final = "/joint_states"
 _FIELDS: Final = {
@@ -104,24 +114,36 @@ class RigRecord:
         return np.asarray(make_interp_spline(t, moved, 5).derivative(2)(t))
 
 
-def driven_by_wheel(record: RigRecord) -> RigRecord:
-    """The run with the wheel's measured motion in the place of the road: its displacement, or the velocity that its
-    accelerometer gives above 0.2 Hz. InputError where neither was measured."""
-    kept = {name: values for name, values in record.columns.items() if name not in (*_ROAD, *_WHEEL)}
+def driven_by_wheel(record: RigRecord, wheels: Sequence[str] = ("",)) -> RigRecord:
+    """The run with the measured motion of its ``wheels``, by the words before their columns, in the place of the road.
+
+    It is their displacements, or the velocities that accelerometers give above 0.2 Hz; InputError where neither was
+    measured."""
+    kept = {name: values for name, values in record.columns.items() if not name.endswith((*_ROAD, *_WHEEL))}
     deflection = record.channel("suspension_deflection")
     if deflection is not None:
         kept["suspension_deflection"] = deflection
-    height, pull = (record.columns.get(name) for name in _WHEEL)
-    if height is not None:
-        return replace(record, columns={"road_displacement": height, **kept})
-    if pull is None:
-        raise InputError(record.name, "wheel_displacement", "is missing, and so is wheel_acceleration")
+    heights, pulls = (
+        {w: record.columns[f"{w}{name}"] for w in wheels if f"{w}{name}" in record.columns} for name in _WHEEL
+    )
+    if len(heights) == len(wheels):
+        moved = {f"{w}road_displacement": height - height[0] for w, height in heights.items()}
+        return replace(record, columns={**moved, **kept})
+    if len(pulls) < len(wheels):
+        of = " of each of the four wheels" if len(wheels) > 1 else ""
+        raise InputError(record.name, "wheel_displacement", f"is missing{of}, and so is wheel_acceleration")
     rate = (record.t.size - 1) / float(record.t[-1] - record.t[0])
     from scipy.signal import butter, sosfiltfilt  # a calibration does not wait for it
 
     sos = butter(2, _LOWEST, "highpass", fs=rate, output="sos")
-    speed = CubicSpline(record.t, pull - np.mean(pull)).antiderivative()(record.t)
-    return replace(record, columns={"road_velocity": sosfiltfilt(sos, speed), **kept})
+    beyond = min(record.t.size - 1, round(rate / _LOWEST))
+
+    def speed(pull: Floats) -> Floats:
+        drifting = CubicSpline(record.t, pull - pull.mean()).antiderivative()(record.t)
+        # mirrored beyond both ends, where the wheel goes on moving
+        return np.asarray(sosfiltfilt(sos, drifting, padtype="even", padlen=beyond))
+
+    return replace(record, columns={**{f"{w}road_velocity": speed(p) for w, p in pulls.items()}, **kept})
 
 
 def upright(label: str, t: Floats, across: NDArray[np.complex128], spin: Floats) -> Floats:
@@ -181,7 +203,7 @@ def checked_rig(
         raise InputError(
             path, "body_acceleration", f"is missing, there are {there}; body_displacement would do"
         )
-    if not {*_ROAD, *_WHEEL} & set(columns):
+    if not any(name.endswith((*_ROAD, *_WHEEL)) for name in columns):
         raise InputError(
             path,
             "road_displacement",

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 from suspension_twin.arrays import Floats
-from suspension_twin.drive.rig import RigRecord, driven_by_wheel, read_rig, write_rig
+from suspension_twin.drive.rig import HUBS, QUANTITIES, RigRecord, driven_by_wheel, read_rig, write_rig
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.files import together
 from suspension_twin.inference.gap import Comparison, Gap, write_gap
@@ -27,7 +27,6 @@ from suspension_twin.inference.nuisance import OF_A_RIG, OF_A_RUN, NuisancePrior
 from suspension_twin.inference.observation import Grid, Observation, Usage, renamed
 from suspension_twin.models.excitation import MAX_STEP, MOTION, excitation
 from suspension_twin.models.parameters import pack
-from suspension_twin.models.quarter_car import ABOVE_WHEEL
 from suspension_twin.models.registry import model_of
 from suspension_twin.models.simulate import simulate_lanes, simulate_twin
 from suspension_twin.models.tracked import ObstacleRun
@@ -38,7 +37,6 @@ from suspension_twin.signals.common_rate import PER_PERIOD
 from suspension_twin.signals.conditioner import Conditioner
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.signals.noise_floor import spectral_floor
-from suspension_twin.vehicle.quarter_car import on_wheel
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = [
@@ -75,8 +73,12 @@ _OBSTACLE_BLOCK = 0.5  # m of an obstacle run that is held out together
 _APART = 1e4
 
 
+#: What the road under a wheel is measured as.
+_INPUTS: Final = ("road_displacement", "road_velocity")
+
+
 class _Actuator:
-    """A road that is the same under all wheels: its height at x m is the displacement at x s."""
+    """A road that is the same under all wheels, or one under each: its height at x m is the displacement at x s."""
 
     wheel_positions = np.zeros((4, 2))
 
@@ -84,7 +86,7 @@ class _Actuator:
         self._curve = curve
 
     def heights(self, x: Floats, y: Floats) -> Floats:
-        return np.asarray(self._curve(x), dtype=np.float64)
+        return np.asarray(self._curve(x[..., 0] if self._curve.c.ndim > 2 else x), dtype=np.float64)
 
 
 def rig_run(
@@ -101,8 +103,8 @@ def rig_run(
     t
         (n,) s, rising stamps. After a pause of more than 0.5 s the model starts again from rest.
     displacement, velocity
-        (n,) m of the road under the tyre, or its rate in m/s where the displacement was not recorded. Between the
-        stamps it follows a cubic spline.
+        (n,) m of the road under the tyre, or its rate in m/s where the displacement was not recorded; (n, 4) of one
+        under each wheel. Between the stamps it follows a cubic spline.
     force
         (n,) N of an actuator between the masses, pushing them apart; linear between the stamps.
     max_step
@@ -115,9 +117,9 @@ def rig_run(
     """
     t, given = np.asarray(t, dtype=np.float64), displacement if displacement is not None else velocity
     inputs = [x for x in (given, force) if x is not None]
-    if given is None or t.ndim != 1 or t.size < 4 or any(np.shape(x) != t.shape for x in inputs):
+    if given is None or t.ndim != 1 or t.size < 4 or any(len(x) != t.size for x in inputs):
         raise InputError("rig run", "needs displacement or velocity of the road at four stamps or more")
-    if not (np.isfinite([t, *inputs]).all() and (np.diff(t) > 0).all()):
+    if not (all(np.isfinite(x).all() for x in (t, *inputs)) and (np.diff(t) > 0).all()):
         raise InputError("rig run", "stamps, road and force must be finite, and stamps must rise")
     s, zero = t - t[0], np.zeros(t.size)
     curve = CubicSpline(s, given)
@@ -140,9 +142,7 @@ def observe_rig(
     names the run: too short, too slow for the filter, or with samples missing.
     """
     t, columns, spec = record.t - record.t[0], record.columns, spec or FilterSpec()
-    road, speed, force = (
-        columns.get(f"{q}") for q in ("road_displacement", "road_velocity", "actuator_force")
-    )
+    road, speed, force = (_input(columns, q) for q in (*_INPUTS, "actuator_force"))
     run = rig_run(t, road, speed, force, max_step)
     try:
         path = Conditioner.for_stamps(t, spec)
@@ -165,6 +165,8 @@ def observe_rig(
 
     derived = ((name, record.channel(name)) for name in channels)
     raw = {name: values for name, values in derived if values is not None}
+    if not raw:
+        raise InputError(record.name, channels[0], "is missing, and so is all else that the twin simulates")
     found = _run(
         record.name,
         run,
@@ -175,6 +177,12 @@ def observe_rig(
         block=TWO_PERIODS,
     )
     return replace(found, warnings=(*record.warnings, *_contradictions(record, apply)))
+
+
+def _input(columns: Mapping[str, Floats], quantity: str) -> Floats | None:
+    """(n,) an input of a run, (n, 4) where each wheel has its own; None where it was not measured."""
+    found = [values for name, values in columns.items() if name.endswith(quantity)]
+    return np.column_stack(found) if len(found) > 1 else next(iter(found), None)
 
 
 def _contradictions(record: RigRecord, apply: Callable[[ArrayLike], Floats]) -> list[str]:
@@ -262,8 +270,9 @@ class SimulatedRun(Comparison):
 
     def write(self, folder: Path) -> None:
         """Write ``gap.json``, and ``simulated.csv`` with the run's own inputs and every simulated channel."""
-        inputs = {k: v for k, v in self.record.columns.items() if k not in self.response.names}
-        simulated = {name: self.response.channel(name)[:, 0] for name in self.response.names}
+        known = [name for name in self.response.names if name in QUANTITIES]
+        inputs = {k: v for k, v in self.record.columns.items() if k not in known}
+        simulated = {name: self.response.channel(name)[:, 0] for name in known}
         record = RigRecord(self.name, self.record.t, {**inputs, **simulated})
         with together():
             write_rig(record, folder / "simulated.csv", f"simulated over {self.name}")
@@ -272,20 +281,17 @@ class SimulatedRun(Comparison):
 
 def input_of(twin: Twin, record: RigRecord) -> RigRecord:
     """A run with what drives the twin as its road: the road, or the measured motion of the wheel."""
-    if not on_wheel(twin) and not {"road_displacement", "road_velocity"} & set(record.columns):
+    if twin.on_wheel:
+        return driven_by_wheel(record, ("",) if len(twin.joint_names) == 1 else HUBS)
+    if not set(_INPUTS) & set(record.columns):
         raise InputError(record.name, "has no road: the twin file has to say excitation: wheel")
-    return driven_by_wheel(record) if on_wheel(twin) else record
-
-
-def channels_of(twin: Twin) -> tuple[str, ...]:
-    """Channels of a rig that a twin simulates."""
-    return ABOVE_WHEEL if on_wheel(twin) else model_of(twin).channels
+    return record
 
 
 def simulate_rig(record: RigRecord, twin: Twin) -> SimulatedRun:
     """Simulate ``twin`` over a run and measure the gap; raises as :func:`observe_rig` and ``simulate_twin`` do."""
-    record = input_of(twin, record)
-    observation = observe_rig(record, channels_of(twin))
+    driven = input_of(twin, record)
+    observation = observe_rig(driven, model_of(twin).channels)
     response = simulate_lanes(twin, pack(twin)[:, None], observation.excitation)
     if response.failed[0]:
         simulate_twin(twin, observation.road_excitation)  # says why
@@ -343,7 +349,7 @@ def _rig(twin: Twin, paths: Sequence[str]) -> list[Observation]:
     found: list[Observation] = []
     programs: list[Excitation] = []
     known: list[Excitation] = []
-    channels = channels_of(twin)
+    channels = model_of(twin).channels
     for path in paths:
         one = observe_rig(_on_coarse_stamps(input_of(twin, read_rig(path)), channels), channels)
         driven = one.excitation
@@ -369,9 +375,14 @@ def _rig(twin: Twin, paths: Sequence[str]) -> list[Observation]:
 
 
 def beside_linear(runs: Sequence[Observation]) -> list[Observation]:
-    """Runs of a corner with the residual of a linear model of all of them: it caps the noise, and a fit counts each
-    channel in units of it. One set of transducers has one noise: a floor counts motion as noise, so the least is it."""
+    """Runs as they are, those of a corner with the residual of a linear model of all of them: it caps the noise, and a
+    fit counts each channel in units of it.
+
+    One set of transducers has one noise: a floor counts motion as noise, so the least is it.
+    """
     channels = [c for c in CORNER_CHANNELS if all(c in run.measured for run in runs)]
+    if not channels:
+        return list(runs)
     corner, sign = linear_corner(runs, channels)
     beside = np.sqrt(max(len(channels) - 1, 1) / _BESIDE)
     turned = [_reversed(runs, corner, channels[0])] if sign < -_SURE else []
@@ -417,7 +428,7 @@ def _apart(one: Excitation, other: Excitation) -> float:
         return float("inf")
     if np.abs(one.t - other.t).max() > 0.5 * float(np.median(np.diff(one.t))):
         return float("inf")
-    inputs = ([run.road[:, 0], *run.motion.T[len(MOTION) :]] for run in (one, other))
+    inputs = ([*run.road.T, *run.motion.T[len(MOTION) :]] for run in (one, other))
     return max(float(np.std(a - b)) / max(float(np.std(a)), 1e-12) for a, b in zip(*inputs, strict=True))
 
 

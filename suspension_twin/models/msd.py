@@ -47,6 +47,8 @@ y' is the difference over the last step.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from suspension_twin.arrays import Floats
@@ -446,4 +448,15 @@ def _one_lane(flag: int) -> LaneFunctions:
 
 KERNEL = CarKernel(_constants, _walk, _one_lane, rigid=False)
 
-MODEL = car_model("msd", "the game-engine model of the car paper: a body on four massless wheels")
+_ON_ROAD = car_model("msd", "the game-engine model of the car paper: a body on four massless wheels")
+MODEL = replace(
+    _ON_ROAD,
+    on_wheel=replace(
+        _ON_ROAD,
+        title="a body on the measured motion of its four hubs",
+        recordings="rig",
+        also=("imu.latency", "imu.position.0", "imu.position.1"),
+        live=None,
+        one_lane=None,
+    ),
+)

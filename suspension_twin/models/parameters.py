@@ -182,6 +182,8 @@ def layout(twin: Twin) -> ParameterLayout:
             raise InputError(
                 "twin", "effects", f"{effect.id} is not an effect of the model {twin.model}{why}"
             )
+        if any(model not in load_hook(effect.id, model).models for model in twin.acted_on[1:]):
+            raise InputError("twin", "effects", f"{effect.id} does not act where the wheel's motion is given")
         for name in effect.parameters:
             if name not in hook.neutral:
                 own = ", ".join(hook.neutral)

@@ -32,7 +32,7 @@ from suspension_twin.models import rows
 from suspension_twin.models.car import PARTS, Problems, points
 from suspension_twin.models.constants import Conditions, Constants, constants
 from suspension_twin.models.excitation import MOTION
-from suspension_twin.models.hooks import Values, load_hook
+from suspension_twin.models.hooks import Values
 from suspension_twin.models.parameters import ParameterLayout, layout, pack
 from suspension_twin.models.parts import has_part
 from suspension_twin.models.registry import Model
@@ -40,16 +40,15 @@ from suspension_twin.models.sensor_chain import Chain, pass_clock
 from suspension_twin.models.simulate import LaneBlocks, Stretch, cores, full_response
 from suspension_twin.models.types import Excitation, LaneResponse, RepeatedRun, Response
 from suspension_twin.vehicle.corners import AXLES
-from suspension_twin.vehicle.quarter_car import on_wheel
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["ABOVE_WHEEL", "CHANNELS", "MODEL"]
+__all__ = ["CHANNELS", "MODEL"]
 
 #: Body and wheel acceleration in m/s² upwards, without gravity; compression of the suspension in m from standing; force
 #: of the road on the tyre in N.
 CHANNELS = ("body_acceleration", "wheel_acceleration", "suspension_deflection", "tyre_force")
 #: Those of a corner whose wheel's motion is given.
-ABOVE_WHEEL = ("body_acceleration", "suspension_deflection")
+_ABOVE_WHEEL = ("body_acceleration", "suspension_deflection")
 _DAMPING = "vehicle.tyre.damping"
 _SCALARS = ("vehicle.sprung_mass", "vehicle.unsprung_mass", "vehicle.tyre.vertical_stiffness", "imu.latency")
 #: The car with four such corners that is no number of the twin: a square, 2 m by 2 m, with everything at 1 m.
@@ -104,7 +103,7 @@ def _on_car(change: VehicleChange, own: Sequence[str], above: bool) -> VehicleCh
 
 def _constants(twin: Twin, params: Floats, run: Excitation) -> Constants:
     """Constants of the kernel for candidates (P, L), whose problems are named by the keys of this twin."""
-    shape, above = layout(twin), on_wheel(twin)
+    shape, above = layout(twin), twin.on_wheel
     given = dict(zip(shape.names, params, strict=True))
     numbers = {**given, **_car(given, above)}
     kernel = "msd" if above else "full_car"
@@ -112,8 +111,6 @@ def _constants(twin: Twin, params: Floats, run: Excitation) -> Constants:
     if above and run.motion.shape[1] > len(MOTION):
         raise InputError("excitation", "wheel", "cannot be with the force of an actuator: give the road")
     for effect, hook in shape.hooks.items():
-        if above and effect not in shape.parts and kernel not in load_hook(effect, kernel).models:
-            raise InputError("twin", "effects", f"{effect} does not act where the wheel's motion is given")
         neutral = dict(hook.neutral)
         for name in hook.neutral:  # what an effect does at the front it does at the rear
             if name.startswith("front"):
@@ -135,7 +132,7 @@ def _constants(twin: Twin, params: Floats, run: Excitation) -> Constants:
 
 
 def _lanes(twin: Twin, params: Floats, excitation: Excitation, threads: int | None = None) -> LaneResponse:
-    run, known, above = excitation, _constants(twin, params, excitation), on_wheel(twin)
+    run, known, above = excitation, _constants(twin, params, excitation), twin.on_wheel
     blocks = LaneBlocks(known)
     n, count = len(run), blocks.lanes
     signals = np.empty((n, 10, count))
@@ -159,7 +156,7 @@ def _lanes(twin: Twin, params: Floats, excitation: Excitation, threads: int | No
             signals[:, at] += missed[:, None, None]
     # the chain changes what the accelerometer on the body reads; the clock stamps all channels
     Chain(known).process(signals, run.t, run.substeps == 0)
-    names = ABOVE_WHEEL if above else CHANNELS
+    names = _ABOVE_WHEEL if above else CHANNELS
     signals = np.ascontiguousarray(signals[:, [6 + CHANNELS.index(name) for name in names]])
     pass_clock(known, run, signals)
     failed = blocks.failed | ~np.isfinite(signals).all(axis=(0, 1))
@@ -177,7 +174,7 @@ def _respond(twin: Twin, run: Excitation) -> Response:
     return replace(whole, acceleration=whole.acceleration[:, [0, 3]], **corner)
 
 
-MODEL = Model(
+_ON_ROAD = Model(
     name="quarter_car",
     title="one corner on a rig: a sprung over an unsprung mass",
     recordings="rig",
@@ -187,3 +184,4 @@ MODEL = Model(
     also=("vehicle.unsprung_mass", "vehicle.tyre.vertical_stiffness", _DAMPING, "imu.latency"),
     respond=_respond,
 )
+MODEL = replace(_ON_ROAD, on_wheel=replace(_ON_ROAD, channels=_ABOVE_WHEEL))

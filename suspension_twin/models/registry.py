@@ -91,6 +91,8 @@ class Model(Simulators, ModelNumbers):
         Its equations are not of this package: effects act on it only where they act on road, sensor or clock.
     prepared
         The twin as a measured vehicle is, with what its file may leave out and no real one lacks.
+    on_wheel
+        The model of a twin that the measured motion of its wheels drives (``excitation: wheel``).
     """
 
     name: str
@@ -99,6 +101,7 @@ class Model(Simulators, ModelNumbers):
     channels: tuple[str, ...]
     opaque: bool = False
     prepared: Callable[[Twin], Twin] = lambda twin: twin
+    on_wheel: Model | None = None
 
 
 def deferred(module: str, name: str) -> Any:
@@ -144,4 +147,5 @@ def model_of(twin: Twin) -> Model:
     >>> model_of(load_twin("bags/bump_15kmh/twin.yaml")).recordings
     'drive'
     """
-    return MODELS[twin.model]
+    model = MODELS[twin.model]
+    return (model.on_wheel or model) if twin.on_wheel else model

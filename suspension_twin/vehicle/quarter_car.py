@@ -20,7 +20,7 @@ from suspension_twin.vehicle.twin import (
     TyreDamping,
 )
 
-__all__ = ["QuarterCar", "QuarterCarTwin", "on_wheel"]
+__all__ = ["QuarterCar", "QuarterCarTwin"]
 
 
 #: Hz of the body on its spring: half that of a soft limousine, and twice that of a rig for teaching.
@@ -80,13 +80,8 @@ class QuarterCarTwin(Twin):
 
     @property
     def acted_on(self) -> tuple[str, ...]:
-        return (self.model, "msd") if self.excitation == "wheel" else (self.model,)
+        return (self.model, "msd") if self.on_wheel else (self.model,)
 
     @property
     def axles(self) -> dict[str, Suspension]:
         return self.vehicle.axles
-
-
-def on_wheel(twin: Twin) -> bool:
-    """Whether the measured motion of a wheel drives the twin of a corner."""
-    return isinstance(twin, QuarterCarTwin) and twin.excitation == "wheel"

@@ -417,6 +417,11 @@ class Twin(Strict):
         return (self.model,)
 
     @property
+    def on_wheel(self) -> bool:
+        """Whether the measured motion of wheels drives what is above them, in the place of a road."""
+        return getattr(self, "excitation", None) == "wheel"
+
+    @property
     def cog_height(self) -> float:
         """Height in m of the centre of gravity above the ground."""
         return 0.0
@@ -576,10 +581,22 @@ class FourWheeledTwin(Twin):
 
 
 class CarTwin(FourWheeledTwin):
-    """The twin of a car: models ``full_car`` and ``msd``."""
+    """The twin of a car: models ``full_car`` and ``msd``. ``excitation: wheel``: the measured motion of its four hubs
+    drives an ``msd``, whose wheels have no mass and are where they are put."""
 
     model: Literal["full_car", "msd"] = "full_car"
+    excitation: Literal["wheel"] | None = None
     vehicle: Vehicle
+
+    @model_validator(mode="after")
+    def _check_excitation(self) -> CarTwin:
+        if self.on_wheel and self.model != "msd":
+            raise ValueError("excitation: the measured motion of wheels drives the model msd alone")
+        return self
+
+    @property
+    def acted_on(self) -> tuple[str, ...]:
+        return (self.model, "quarter_car") if self.on_wheel else (self.model,)
 
     @property
     def standing(self) -> tuple[float, ...]:

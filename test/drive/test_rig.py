@@ -13,7 +13,7 @@ from scipy.io import savemat
 
 from suspension_twin.cli.main import main
 from suspension_twin.drive.importing import import_rig
-from suspension_twin.drive.rig import RigRecord, read_rig, write_rig
+from suspension_twin.drive.rig import RigRecord, driven_by_wheel, read_rig, write_rig
 from suspension_twin.drive.write import BagWriter
 from suspension_twin.errors import InputError, WorkError
 
@@ -404,3 +404,12 @@ def test_a_spin_that_cannot_be_is_refused(tmp_path: Path, old: str, new: str, me
     (tmp_path / "map.yaml").write_text(SPIN_MAP.replace(old, new))
     with pytest.raises(InputError, match=message):
         import_rig([tmp_path / "hub.csv"], tmp_path / "map.yaml")
+
+
+@pytest.mark.parametrize("seconds", [10.0, 12.3])
+def test_a_wheel_that_moves_to_the_end_of_a_run(seconds: float) -> None:
+    """Its accelerometer gives its velocity from the first to the last sample."""
+    t, w = np.arange(0.0, seconds, 0.0025), 2 * np.pi * 1.3
+    pull = {"body_acceleration": 0.0 * t, "wheel_acceleration": 9.81 - w * np.sin(w * t)}
+    found = driven_by_wheel(RigRecord("run", t, pull)).columns["road_velocity"]
+    assert np.abs(found - np.cos(w * t)).max() < 0.1

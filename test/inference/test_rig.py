@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.signal import butter, sosfilt, sosfiltfilt
+from scipy.interpolate import CubicSpline
+from scipy.signal import butter, lsim, sosfilt, sosfiltfilt
 
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.request import CalibrationRequest
@@ -30,6 +31,7 @@ from suspension_twin.models.parameters import pack
 from suspension_twin.models.registry import model_of
 from suspension_twin.models.simulate import simulate_lanes, simulate_twin
 from suspension_twin.models.types import RepeatedRun
+from suspension_twin.vehicle.corners import CORNERS
 from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin, save_twin
 
 
@@ -188,6 +190,114 @@ def test_a_measured_wheel_drives_what_is_above_it(corner: Twin, tmp_path: Path, 
     )
     with pytest.raises(InputError, match="strut_friction does not act where the wheel's motion is given"):
         simulate_rig(run, stop)
+
+
+def on_hubs(repository: Path) -> Twin:
+    """A car on its measured hubs, with straight springs and dampers, whose sensor sits beside the middle."""
+    car = load_twin(repository / "config" / "twins" / "ford_mondeo_mk4.yaml")
+    straight: dict[str, object] = {"model": "msd", "excitation": "wheel", "imu.position": (0.9, 0.3, 0.8)}
+    for axle, (rate, push, pull) in {"front": (26e3, 1500.0, 1500.0), "rear": (30e3, 2000.0, 2000.0)}.items():
+        straight[f"vehicle.{axle}.spring"] = {"compression": (1.0,), "force": (rate,)}
+        straight[f"vehicle.{axle}.damper_push"] = {"velocity": (1.0,), "force": (push,)}
+        straight[f"vehicle.{axle}.damper_pull"] = {"velocity": (1.0,), "force": (pull,)}
+    return car.with_changes(straight)
+
+
+def shaken(twin: Twin, seconds: float) -> RigRecord:
+    """What a sensor on the body reads whose four quarters follow their hubs, each by its own equation
+    m/4 x'' = k (u - x) + c (u' - x'), and the hubs' heights and accelerations, by scipy."""
+    t, vehicle = np.arange(0.0, seconds, 0.002), twin.vehicle
+    noise = np.random.default_rng(3).standard_normal((t.size, 4))
+    sos = butter(4, [1.0, 8.0], "bandpass", fs=500.0, output="sos")
+    fade = np.clip(np.minimum(t, seconds - 0.5 - t), 0.0, 1.0) ** 2
+    hubs = 0.2 * sosfilt(sos, noise, axis=0) * fade[:, None]
+    speed, pull = (np.asarray(CubicSpline(t, hubs)(t, order)) for order in (1, 2))
+    moved, rates = np.empty((t.size, 4)), np.empty((t.size, 4))
+    for corner in range(4):
+        axle = vehicle.front if corner < 2 else vehicle.rear
+        k, c = (4.0 * part.force[0] / vehicle.mass for part in (axle.spring, axle.damper_push))
+        body = np.array([[0.0, 1.0], [-k, -c]]), np.array([[0.0, 0.0], [k, c]])
+        driven = np.column_stack([hubs[:, corner], speed[:, corner]])
+        _, read, _ = lsim((*body, *body), driven, t)
+        rates[:, corner], moved[:, corner] = read.T
+    x, y, _ = twin.imu.position
+
+    def plane(corners: Floats) -> tuple[Floats, Floats, Floats]:
+        left, right = corners[:, ::2], corners[:, 1::2]
+        tracks = np.array([vehicle.front_track, vehicle.rear_track])
+        pitch = (corners[:, 2:].mean(axis=1) - corners[:, :2].mean(axis=1)) / vehicle.wheelbase
+        return corners.mean(axis=1), ((left - right) / tracks).mean(axis=1), pitch
+
+    heave, roll, pitch = plane(moved)
+    _, roll_rate, pitch_rate = plane(rates)
+    vertical = heave - (x - vehicle.wheelbase / 2) * pitch + y * roll
+    columns = {"vertical_acceleration": vertical, "roll_rate": roll_rate, "pitch_rate": pitch_rate}
+    wheels = {f"{name}_wheel_displacement": 0.1 * i + hubs[:, i] for i, name in enumerate(CORNERS)}
+    pulls = {f"{name}_wheel_acceleration": 9.81 + pull[:, i] for i, name in enumerate(CORNERS)}
+    return RigRecord("run", t, {**columns, **wheels, **pulls})
+
+
+@pytest.mark.parametrize(("given", "most"), [("displacement", 0.02), ("acceleration", 0.05)])
+def test_four_measured_hubs_drive_a_car(repository: Path, tmp_path: Path, given: str, most: float) -> None:
+    """Heights count from anywhere; accelerometers show what is above 0.2 Hz."""
+    twin, record = on_hubs(repository), shaken(on_hubs(repository), 12.0)
+    other = {"displacement": "acceleration", "acceleration": "displacement"}[given]
+    columns = {k: v for k, v in record.columns.items() if not k.endswith(f"wheel_{other}")}
+    result = simulate_rig(read_rig(written(replace(record, columns=columns), tmp_path / "run.csv")), twin)
+    assert list(result.measured) == ["vertical_acceleration", "roll_rate", "pitch_rate"]
+    for name, rms in result.gap.channels.items():
+        assert rms < most * np.std(result.measured[name]), name
+    result.write(tmp_path / "out")
+    assert set(read_rig(tmp_path / "out" / "simulated.csv").columns) == set(columns)
+    lifted = replace(
+        record, columns={**columns, f"rear_left_wheel_{given}": 2 * columns[f"rear_left_wheel_{given}"]}
+    )
+    for name, rms in simulate_rig(lifted, twin).gap.channels.items():
+        assert rms > 5.0 * result.gap.channels[name], name
+
+
+def test_a_car_on_its_hubs_is_calibrated(repository: Path, tmp_path: Path) -> None:
+    """Springs, dampers and the place of the sensor are found from one run."""
+    true, start = on_hubs(repository), tmp_path / "twin.yaml"
+    changes = {"front.spring.force": (20e3,), "rear.damper_pull.force": (1500.0,)}
+    off = {f"vehicle.{key}": value for key, value in changes.items()} | {"imu.position": (1.0, 0.3, 0.8)}
+    save_twin(true.with_changes(off), start)
+    run = written(shaken(true, 12.0), tmp_path / "run.csv")
+    result = calibrate(CalibrationRequest(str(start), (str(run),)))
+    assert result.yardstick is not None and result.yardstick.twin > 0.99 > 0.98 > result.yardstick.given
+    found, wanted = result.twin.vehicle, true.vehicle
+    assert found.rear.damper_pull.force[0] == pytest.approx(wanted.rear.damper_pull.force[0], rel=0.05)
+    assert result.twin.imu.position[0] == pytest.approx(true.imu.position[0], abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("changes", "gone", "words"),
+    [
+        ({"model": "full_car"}, (), "the measured motion of wheels drives the model msd alone"),
+        (
+            {},
+            ("front_right_wheel_displacement", "front_right_wheel_acceleration"),
+            "run: wheel_displacement: is missing of each of the four wheels, and so is",
+        ),
+        (
+            {},
+            ("vertical_acceleration", "_rate"),
+            "run: vertical_acceleration: is missing, and so is all else that the twin simulates",
+        ),
+        (
+            {"effects": [{"id": "road_scale", "parameters": {"scale": 0.1}}]},
+            (),
+            "road_scale does not act where the wheel's motion is given",
+        ),
+    ],
+)
+def test_what_cannot_be_on_measured_hubs(
+    repository: Path, changes: dict[str, object], gone: tuple[str, ...], words: str
+) -> None:
+    twin, record = on_hubs(repository), shaken(on_hubs(repository), 2.0)
+    left = {k: v for k, v in record.columns.items() if not k.endswith(gone)}
+    with pytest.raises(InputError, match=words):
+        simulate_rig(replace(record, columns=left), twin.with_changes(changes))
 
 
 @pytest.mark.parametrize(
