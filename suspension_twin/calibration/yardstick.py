@@ -23,6 +23,7 @@ from suspension_twin.calibration.presets import PRESETS, build_space
 from suspension_twin.calibration.recorder import SearchOutcome
 from suspension_twin.calibration.request import Yardstick
 from suspension_twin.calibration.setup import Setup, problem_of
+from suspension_twin.calibration.squares import FAINT
 from suspension_twin.inference.cross_validation import FOLDS
 from suspension_twin.inference.gap import main_channel
 from suspension_twin.inference.gauss_newton import GaussNewton, GaussNewtonSettings
@@ -41,7 +42,6 @@ __all__ = ["straight", "yardstick"]
 #: Keys that are free with the slopes of a car with straight characteristics.
 _BESIDE = ("vehicle.tyre.vertical_stiffness", "vehicle.front.unsprung_mass", "vehicle.rear.unsprung_mass")
 _MOST_RUNS = 4  # parts that runs are held out in (numerics: one more costs a fit)
-_FAINT = 1e-3  # weight of the prior beside residuals in units of the motion (numerics: it settles what is not seen)
 _DESCENT = GaussNewtonSettings(iterations=6, tolerance=1e-3)
 
 
@@ -197,7 +197,7 @@ def _of_straight(setup: Setup, problem: Problem, x: Floats, part: NDArray[np.int
     solver = GaussNewton(
         fresh.weighed(_Plain(problem.measured.values, scale)),
         start,
-        _FAINT * fresh.prior.precision,
+        FAINT * fresh.prior.precision,
         np.concatenate([space.z0, x[problem.d :]]),
         settings=_DESCENT,
     )
