@@ -251,7 +251,7 @@ class _Fit:
         measured = self.problem.measured
 
         def found() -> tuple[tuple[int, ...], Floats, Floats]:
-            noise = Whitener.of_residual(measured, self.compared(x))
+            noise = Whitener.of_residual(measured, self.problem.readings(x))
             return noise.group, noise.filters, noise.sigma
 
         return Whitener.with_filters(measured, *self.recorder.known(1, found))
@@ -275,7 +275,7 @@ class _Fit:
             return 1.0
 
         def square() -> float:
-            residual = self.recorder.setup.objective.residuals(self.compared(start)[:, :, None])
+            residual = self.recorder.setup.objective.residuals(self.problem.compared(start[:, None]))
             return float(np.mean(residual**2))
 
         variance = max(self.recorder.known(1, square) / self.problem.measured.independent, 1e-30)
@@ -300,10 +300,6 @@ class _Fit:
 
     # -- evaluation -------------------------------------------------------------------------------
 
-    def compared(self, x: Floats) -> Floats:
-        """(M, C) signals at coordinates ``x``, nuisances included."""
-        return self.problem.compared(x[:, None])[:, :, 0]
-
     def costs_at(self, x: Floats) -> float:
         """The objective's cost at coordinates ``x``."""
         values, objective = self.base.space.from_slopes(x[: self.d, None]), self.recorder.setup.objective
@@ -313,7 +309,7 @@ class _Fit:
     def floors(self) -> float:
         """Residual rms in units of the noise floor; the median of the channels."""
         setup = self.recorder.setup
-        return self.recorder.known(1, lambda: in_floors(setup, self.problem, self.compared(self.x)))
+        return self.recorder.known(1, lambda: in_floors(setup, self.problem, self.problem.readings(self.x)))
 
 
 def in_floors(setup: Setup, problem: Problem, compared: Floats) -> float:

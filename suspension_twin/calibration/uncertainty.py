@@ -139,10 +139,10 @@ def _best_fit(
     x = _polished(problem, _likelihood_at(problem, x), x, precision, outcome.placed)
     likelihood = _likelihood_at(problem, x)
     x = _polished(problem, likelihood, x, precision, outcome.placed)
-    if ended is None and in_floors(setup, problem, _compared(problem, x)) < NEAR_FLOOR:
+    if ended is None and in_floors(setup, problem, problem.readings(x)) < NEAR_FLOOR:
         return x, likelihood, None
     objective = _least_squares(setup.objective)
-    squares = ScaledObjective.at(objective, _compared(problem, x if ended is None else ended.x))
+    squares = ScaledObjective.at(objective, problem.readings(x if ended is None else ended.x))
     fit = _polished(problem, squares, x, precision, outcome.placed) if ended is None else ended.x
     return fit, squares, x - fit
 
@@ -214,10 +214,6 @@ def _travel_at(setup: Setup, problem: Problem, x: Floats) -> Travel:
     return travel(problem.space.applied(setup.twin, values), problem)
 
 
-def _compared(problem: Problem, x: Floats) -> Floats:
-    return problem.compared(x[:, None])[:, :, 0]
-
-
 def _widened(setup: Setup, outcome: SearchOutcome) -> Problem:
     """The problem in a space with wide bounds, so that an interval may reach beyond those of the search."""
     problem = outcome.problem
@@ -234,7 +230,7 @@ def _least_squares(objective: Objective) -> Objective:
 
 
 def _likelihood_at(problem: Problem, x: Floats) -> Whitener:
-    return Whitener.of_residual(problem.measured, _compared(problem, x))
+    return Whitener.of_residual(problem.measured, problem.readings(x))
 
 
 def _polished(

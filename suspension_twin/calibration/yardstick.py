@@ -150,7 +150,7 @@ def _held_out(
 def _plain(problem: Problem, x: Floats, weights: Floats) -> _Plain:
     """Residuals in units of their own size at ``x`` (d + q,), with ``weights`` (C,) of the channels."""
     measured = problem.measured.values
-    weighted = (problem.compared(x[:, None])[:, :, 0] - measured) * weights
+    weighted = (problem.readings(x) - measured) * weights
     return _Plain(measured, max(float(np.std(weighted)), 1e-12) / weights)
 
 
@@ -165,7 +165,7 @@ def _of_given(problem: Problem, placed: Floats, x: Floats, weights: Floats) -> F
     residuals = problem.weighed(_plain(problem, start, weights))
     solver = GaussNewton(residuals, start, precision, centre, low, high, settings=_DESCENT)
     solver.run()
-    return problem.compared(solver.x[:, None])[:, :, 0]
+    return problem.readings(solver.x)
 
 
 def _of_corner(problem: Problem, part: NDArray[np.intp], channel: str) -> Floats:

@@ -339,7 +339,7 @@ def baseline(case: Case, problem: Problem) -> tuple[Problem, LinearisedFit, Line
 def with_noise_of(problem: Problem, x: Floats, drives: Sequence[int], usual: Sequence[str] = ()) -> Problem:
     """The problem with the noise that its fit at ``x`` leaves on some drives; ``usual`` channels keep the usual share
     of the motion."""
-    simulated = problem.compared(x[:, None])[:, :, 0]
+    simulated = problem.readings(x)
     left = shares(problem.measured, simulated - problem.measured.values, drives)
     for c, channel in enumerate(problem.channels):
         if channel in usual:
@@ -369,7 +369,7 @@ def _repeated(case: Case, problem: Problem, x: Floats) -> Problem:
     1 + 1 / (n - 1) times the variance of a run, a run after them misses their mean by 1 + 1 / n times that.
     """
     data, measured = problem.data, problem.measured
-    missed = measured.values - problem.compared(x[:, None])[:, :, 0]
+    missed = measured.values - problem.readings(x)
     ends = np.cumsum([0, *(r.size for r in data.rows)])
     quiet = [j for j, active in enumerate(data.active) if not active]
     expected: list[Floats | None] = []

@@ -194,7 +194,9 @@ def next_experiment(case: Case, tied: Sequence[Candidate], answer: str, judged: 
     tap = "mount_resonance" in effects
     tail = " A tap on the phone holder at standstill excites the mount resonance alone." if tap else ""
     first, second = (twin_of(judged.problem, c.found.fit) for c in tied[:2])
-    found = separating_drive(first, second, judged.noise, max(judged.reference or USUAL_SHARE, 0.05))
+    found = separating_drive(
+        first, second, judged.scale.noise, max(judged.scale.reference or USUAL_SHARE, 0.05)
+    )
     if found is None:
         return f"No manoeuvre of the menu can be simulated to separate {pair}.{tail}"
     nats, name = found

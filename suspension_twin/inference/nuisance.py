@@ -203,7 +203,8 @@ class Nuisances:
             knots = _knots(part, priors.wander_seconds) if wander[drive] > 0 else np.empty(0)
             self._knots.append(knots)
             if knots.size:
-                motions.setdefault(drive, []).append(_motion_at(part, knots))
+                course = np.where(np.interp(knots, part.t, part.along) < 0.0, np.pi, 0.0)
+                motions.setdefault(drive, []).append(np.stack([knots, course]))
             for k in range(knots.size):
                 add(f"{part.name}.wander.{number}.{k}", "wander", wander[drive])
         self.parameters = tuple(parameters)
@@ -418,11 +419,6 @@ def _knots(part: Observation, seconds: float) -> Floats:
     t = part.t
     count = int((t[-1] - t[0]) // seconds) + 1
     return np.linspace(t[0], t[-1], count) if count > 1 else np.array([0.5 * (t[0] + t[-1])])
-
-
-def _motion_at(part: Observation, t: Floats) -> Floats:
-    """(2, k) times in s and courses along the road in rad of a drive at ``t`` (k,)."""
-    return np.stack([t, np.where(np.interp(t, part.t, part.along) < 0.0, np.pi, 0.0)])
 
 
 def _hats(t: Floats, knots: Floats) -> Floats:

@@ -110,16 +110,14 @@ class PlaceShift:
 class ObserveSettings:
     """How a drive is observed.
 
-    ``filter`` for both sides, zero-phase offline; ``max_step`` s of the simulation; ``quiet`` takes the IMU's noise out
-    of the planar motion that drives it; ``outside`` is the height policy beyond the road: hold, zero, error, or that of
-    the road's file; ``satellites`` takes the planar motion from the fixes alone, where the IMU itself is in question;
-    ``saturated`` compares samples at the end of the sensor's range as well, which alone show a clipped range;
-    ``placed`` moves every path that is read from the recording.
+    ``filter`` for both sides, zero-phase offline; ``max_step`` s of the simulation; ``outside`` is the height policy
+    beyond the road: hold, zero, error, or that of the road's file; ``satellites`` takes the planar motion from the
+    fixes alone, where the IMU itself is in question; ``saturated`` compares samples at the end of the sensor's range as
+    well, which alone show a clipped range; ``placed`` moves every path that is read from the recording.
     """
 
     filter: FilterSpec = FilterSpec()
     max_step: float = 1e-3
-    quiet: bool = True
     outside: Outside = "road"
     satellites: bool = False
     saturated: bool = False
@@ -228,7 +226,9 @@ def _reread(reading: Reading, correction: SensorCorrection, step: float | None) 
         return _stretch(whole, *reading.window)
     path = reading.trajectory
     if correction != SensorCorrection.of_twin(reading.twin):
-        path = replace(_motion(reading.drive, reading.twin, correction, reading.settings), t=path.t)
+        timed, twin, settings = correction.timed(reading.drive), reading.twin, reading.settings
+        signals = correction.signals(timed, twin.imu, settings.imu)
+        path = replace(_locked(timed, twin, signals, settings, correction.upright), t=path.t)
     return _excited(path, reading, correction.clock)
 
 
@@ -545,7 +545,7 @@ def observe(
         direction = float(ahead[0]), float(ahead[1]), float(ahead[2])
         signals, trajectory = satellite_motion(drive, signals, twin.gps, datum, direction)
     elif not len(drive.fix):
-        trajectory = _felt(timed, twin, mounted, road, settings)
+        trajectory = _felt(timed, twin, mounted, road)
     else:
         try:
             trajectory = replace(_locked(timed, twin, mounted, settings, correction.upright), t=signals.t)
@@ -658,31 +658,23 @@ def _pieces(value: object) -> Iterator[bytes]:
         yield repr(value).encode()
 
 
-def _motion(drive: Drive, twin: Twin, correction: SensorCorrection, settings: ObserveSettings) -> Trajectory:
-    """The locked and denoised path of a drive that is read with a correction of its sensor."""
-    timed = correction.timed(drive)
-    return _locked(
-        timed, twin, correction.signals(timed, twin.imu, settings.imu), settings, correction.upright
-    )
-
-
 def _locked(
     timed: Drive, twin: Twin, signals: ImuSignals, settings: ObserveSettings, upright: bool
 ) -> Trajectory:
+    """The locked and denoised path of a drive."""
     datum = twin.datum or first_fix(timed)
     trajectory = locked_trajectory(timed, signals, twin.gps, datum, signals.t, upright=upright)
-    found = denoised_motion(trajectory, signals, twin.cog_height) if settings.quiet else trajectory
+    found = denoised_motion(trajectory, signals, twin.cog_height)
     return found if settings.placed is None else settings.placed.of(found)
 
 
-def _felt(timed: Drive, twin: Twin, signals: ImuSignals, road: Road, settings: ObserveSettings) -> Trajectory:
+def _felt(timed: Drive, twin: Twin, signals: ImuSignals, road: Road) -> Trajectory:
     """The path of a drive without positions, as its sensors felt the road."""
     from suspension_twin.inference.felt_passes import (
         felt_trajectory,  # splines, which a live twin does without
     )
 
-    trajectory = felt_trajectory(timed, twin, signals, road)
-    return denoised_motion(trajectory, signals, twin.cog_height) if settings.quiet else trajectory
+    return denoised_motion(felt_trajectory(timed, twin, signals, road), signals, twin.cog_height)
 
 
 def origin_of(twin: Twin, drive: Drive) -> Datum:

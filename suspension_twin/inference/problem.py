@@ -63,8 +63,6 @@ REACH = 3.0
 STEP, _STEP_EFFECT = 1e-3, 1e-2
 #: Prior correlation of the logarithms of neighbouring slopes of a characteristic.
 CORRELATION = SINGLE["slopes"]
-#: Between the numbers of blocks of two drives that share none: more than a drive has (definition).
-_APART = 100_000
 # Simulated signals kept at once, in numbers: 25 million are 200 MB.
 _LARGEST_BATCH = 25_000_000
 
@@ -130,10 +128,10 @@ class Data:
         """(M,) the block of each compared sample, counted from 0: of road over all drives, of the distance of a run, of
         time without a road."""
         keys = [
-            part.usage.block[own] + (0 if part.usage.shared else _APART * drive)
+            np.stack([np.full(own.size, 0 if part.usage.shared else drive), part.usage.block[own]])
             for part, own, drive in zip(self.parts, self.rows, self.drive_of, strict=True)
         ]
-        return np.asarray(np.unique(np.concatenate(keys), return_inverse=True)[1], dtype=np.intp)
+        return np.unique(np.concatenate(keys, axis=1), axis=1, return_inverse=True)[1]
 
     def nuisances(
         self, priors: NuisancePriors, wander: Sequence[float] | None = None, taped: Taped | None = None
@@ -553,6 +551,10 @@ class Problem:
         """(M, C, L) simulated sensor readings at unknowns (p, L)."""
         signals, _ = self.signals(x)
         return self.likelihood.compared(signals, x[self.d : self.shared])
+
+    def readings(self, x: Floats) -> Floats:
+        """(M, C) simulated sensor readings at ``x`` (p,)."""
+        return self.compared(x[:, None])[:, :, 0]
 
     def residuals(self, x: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """(R, L) residuals of unknowns (p, L), and failed lanes."""
