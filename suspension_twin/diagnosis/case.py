@@ -265,8 +265,8 @@ def drive_problem(
     """A problem whose noise model takes the discrepancy for the usual share of the motion; ``space`` None for the
     vehicle's parameters of a diagnosis."""
     nuisances = data.nuisances(priors, wander)
-    floors = [dict(d.noise_rms) for d in data.parts]
-    noise = Whitener.designed(data.measured, np.full(len(data.channels), USUAL_SHARE), floors)
+    usual = np.full(len(data.channels), USUAL_SHARE)
+    noise = Whitener.designed(data.measured, usual, [d.noise_rms for d in data.parts])
     likelihood = Likelihood(data, nuisances, noise, weight=effective_weight(noise), affine=True)
     return Problem.of(twin, _space(twin) if space is None else space, likelihood, simulation)
 
@@ -344,7 +344,7 @@ def with_noise_of(problem: Problem, x: Floats, drives: Sequence[int], usual: Seq
     for c, channel in enumerate(problem.channels):
         if channel in usual:
             left[c] = USUAL_SHARE
-    noise = Whitener.designed(problem.measured, left, _floors(problem))
+    noise = Whitener.designed(problem.measured, left, [d.noise_rms for d in problem.data.parts])
     # the size of the noise in each channel is that of the residuals
     white = noise.residuals(simulated[:, :, None])[:, 0]
     rows, scale = np.isin(noise.drive, drives), noise.scale.copy()
@@ -352,10 +352,6 @@ def with_noise_of(problem: Problem, x: Floats, drives: Sequence[int], usual: Seq
         own = white[rows & (noise.channel == c)]
         scale[c] *= float(np.clip(np.sqrt(np.mean(own**2)), 1e-2, 1e3)) if own.size else 1.0
     return problem.weighed(replace(noise, scale=scale), weight=effective_weight(noise))
-
-
-def _floors(problem: Problem) -> list[dict[str, float]]:
-    return [dict(d.noise_rms) for d in problem.data.parts]
 
 
 def _repeated(case: Case, problem: Problem, x: Floats) -> Problem:
@@ -390,7 +386,7 @@ def _repeated(case: Case, problem: Problem, x: Floats) -> Problem:
     share = _DOUBT * shares(measured, missed, quiet)
     if again:
         share = np.hypot(share, shares(measured, scatter, again))
-    noise = Whitener.designed(measured, share, _floors(problem))
+    noise = Whitener.designed(measured, share, [d.noise_rms for d in data.parts])
     twin = twin_of(problem, Fit(problem.hypothesis, x, 0.0))
     wander = [0.0] * len(case.drives)
     before = [_run_before(twin, p, e, data.channels) for p, e in zip(data.parts, expected, strict=True)]
@@ -414,7 +410,7 @@ def _run_before(
     raw = np.zeros((stamps.size, len(channels)))
     for _ in range(_CORRECTIONS):
         read = np.stack([np.interp(stamps - late, stamps, column) for column in raw.T], axis=1)
-        left = expected - part.grid.apply(read)
+        left = expected - part.apply(read)
         raw += np.stack([np.interp(stamps + late, part.t, column) for column in left.T], axis=1)
     return replace(part, excitation=RepeatedRun(**vars(driven), channels=tuple(channels), missed=raw))
 

@@ -216,7 +216,7 @@ def _simulated(problem: Problem, part: Observation, twin: Twin, channel: str) ->
     """(m,) one simulated channel of a drive or a run, which the effects of the twin may read in another way."""
     if part.reading is None:
         response = simulate_lanes(twin, pack(twin)[:, None], part.excitation)
-        return np.asarray(part.grid.apply(response.stacked([channel]))[:, 0, 0])
+        return np.asarray(part.apply(response.stacked([channel]))[:, 0, 0])
     own = [e.id for e in problem.twin.effects]
     correction = part.reading.correction([e.id for e in twin.effects], own, problem.simulation.upright)
     excitation = part.reading.excitation(correction, problem.simulation.step)

@@ -21,7 +21,7 @@ from suspension_twin.inference.fit import twin_of
 from suspension_twin.inference.gap import CHANNELS
 from suspension_twin.inference.noise import USUAL_SHARE
 from suspension_twin.inference.nuisance import OF_A_DRIVE
-from suspension_twin.inference.observation import VERTICAL, Grid, Observation, Usage
+from suspension_twin.inference.observation import VERTICAL, Observation, Usage
 from suspension_twin.inference.synthetic import SensorErrors, path_along
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.parameters import pack
@@ -106,24 +106,21 @@ def planned_drive(twin: Twin, road: Road, kmh: float, name: str = "") -> Observa
     speed = np.interp(grid, t, path.speed)
     passed = np.sqrt(min(1.0, 2.0 * spec.cutoff / conditioner.rate))
     noise = {c: passed * (_SENSOR.force if c.endswith("acceleration") else _SENSOR.rate) for c in CHANNELS}
-    grid_path = Grid(
-        grid,
-        conditioner.rate,
-        spec.cutoff,
-        conditioner.apply,
-        np.interp(grid, t, road.xy_to_uv(path.x, path.y)[0]),
-        speed,
-        np.asarray(conditioner.valid & (speed > TrimSettings().slowest)),
-        _SENSOR.position,
-    )
     block = np.zeros(grid.size, dtype=np.intp)  # nothing is held out of a plan
     return Observation(
-        name or f"{kmh:g} km/h",
-        grid_path,
-        driven,
-        {c: signals[:, i] for i, c in enumerate(CHANNELS)},
-        noise,
-        Usage(CHANNELS, VERTICAL, OF_A_DRIVE, block, fused=True),
+        t=grid,
+        rate=conditioner.rate,
+        bandwidth=spec.cutoff,
+        apply=conditioner.apply,
+        position=np.interp(grid, t, road.xy_to_uv(path.x, path.y)[0]),
+        along=speed,
+        mask=np.asarray(conditioner.valid & (speed > TrimSettings().slowest)),
+        position_sigma=_SENSOR.position,
+        name=name or f"{kmh:g} km/h",
+        excitation=driven,
+        measured={c: signals[:, i] for i, c in enumerate(CHANNELS)},
+        noise_rms=noise,
+        usage=Usage(CHANNELS, VERTICAL, OF_A_DRIVE, block, fused=True),
     )
 
 

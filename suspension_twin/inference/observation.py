@@ -125,7 +125,7 @@ class ObserveSettings:
     placed: PlaceShift | None = None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Grid:
     """The uniform grid of m samples that signals are compared on.
 
@@ -252,16 +252,14 @@ def _stretch(whole: Excitation, first: int, last: int) -> Excitation:
     return replace(whole, t=t, substeps=substeps, first=rows, road=road, motion=motion, path=path)
 
 
-@dataclass(frozen=True, eq=False)
-class Observation:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Observation(Grid):
     """A drive or run of m samples on a uniform grid, with n simulated stamps.
 
     Parameters
     ----------
     name : str
         Of the drive or run.
-    grid : Grid
-        Samples that are compared, and the path of simulated signals to them.
     excitation : Excitation or ObstacleRun
         Drives the model, on n stamps.
     measured : dict of str to (m,) array
@@ -288,48 +286,12 @@ class Observation:
     """
 
     name: str
-    grid: Grid
     excitation: Excitation | ObstacleRun
     measured: Mapping[str, Floats]
     noise_rms: Mapping[str, float]
     usage: Usage
     reading: Reading | None = None
     warnings: tuple[str, ...] = ()
-
-    @property
-    def t(self) -> Floats:
-        """(m,) s, the grid of every conditioned signal."""
-        return self.grid.t
-
-    @property
-    def rate(self) -> float:
-        """Samples per second of the grid."""
-        return self.grid.rate
-
-    @property
-    def bandwidth(self) -> float:
-        """Cut-off in Hz of the low-pass that both sides go through."""
-        return self.grid.bandwidth
-
-    @property
-    def position(self) -> Floats:
-        """(m,) m along the road, or along the path without a road."""
-        return self.grid.position
-
-    @property
-    def along(self) -> Floats:
-        """(m,) m/s, the rate of the position."""
-        return self.grid.along
-
-    @property
-    def mask(self) -> NDArray[np.bool_]:
-        """(m,) True where a comparison is meaningful."""
-        return self.grid.mask
-
-    @property
-    def position_sigma(self) -> float:
-        """The receiver's own horizontal standard deviation in m, 0 where it gives none."""
-        return self.grid.position_sigma
 
     @property
     def road_excitation(self) -> Excitation:
@@ -401,7 +363,7 @@ class Observation:
         """
         stacked = np.stack([_channel(response, name) for name in CHANNELS], axis=1)
         stacked[:, CHANNELS.index("vertical_acceleration")] -= self.standing_vertical(response)
-        filtered = self.grid.apply(stacked)
+        filtered = self.apply(stacked)
         return {name: filtered[:, i] for i, name in enumerate(CHANNELS)}
 
     def standing_vertical(self, response: Response) -> float:
@@ -415,7 +377,7 @@ class Observation:
         if self.reading is not None:
             return self.condition(simulate_twin(twin, self.road_excitation))
         response = simulate_lanes(twin, pack(twin)[:, None], self.excitation)
-        filtered = self.grid.apply(response.stacked(tuple(self.measured))[:, :, 0])
+        filtered = self.apply(response.stacked(tuple(self.measured))[:, :, 0])
         return {name: filtered[:, i] for i, name in enumerate(self.measured)}
 
     @cached_property
@@ -565,7 +527,7 @@ def observe(
     )
     # a place that was felt is that of one axle or of the other
     sigma = _position_sigma(drive) if len(drive.fix) else float(np.ptp(twin.vehicle.wheel_positions[:, 0]))
-    return replace(found, warnings=tuple(said), grid=replace(found.grid, position_sigma=sigma))
+    return replace(found, warnings=tuple(said), position_sigma=sigma)
 
 
 def with_shown_errors(observation: Observation) -> Observation:
@@ -738,23 +700,21 @@ def _observed(source: Reading, known: Observation | None = None) -> Observation:
         block = np.floor(position / _METRES).astype(np.intp)
         usage = Usage(CHANNELS, VERTICAL, OF_A_DRIVE, block, fused=True, gravity=signals.gravity)
     return Observation(
-        known.name if known else source.drive.name,
-        Grid(
-            grid,
-            conditioner.rate,
-            settings.filter.cutoff,
-            conditioner.apply,
-            position,
-            np.gradient(position, grid),
-            np.asarray(mask),
-            known.position_sigma if known else 0.0,
-        ),
-        _excited(path, source, clock),
-        {channel: filtered[:, i] for i, channel in enumerate(CHANNELS)},
-        floors,
-        usage,
-        source,
-        known.warnings if known else (),
+        t=grid,
+        rate=conditioner.rate,
+        bandwidth=settings.filter.cutoff,
+        apply=conditioner.apply,
+        position=position,
+        along=np.gradient(position, grid),
+        mask=np.asarray(mask),
+        position_sigma=known.position_sigma if known else 0.0,
+        name=known.name if known else source.drive.name,
+        excitation=_excited(path, source, clock),
+        measured={channel: filtered[:, i] for i, channel in enumerate(CHANNELS)},
+        noise_rms=floors,
+        usage=usage,
+        reading=source,
+        warnings=known.warnings if known else (),
     )
 
 

@@ -205,10 +205,10 @@ def _passes(drive: Observation) -> list[_Pass]:
         replace(TrimSettings(), bridge=TrimSettings().window),
     )
     # where the road ends is not known yet
-    everywhere = replace(drive, grid=replace(drive.grid, mask=np.ones_like(drive.mask)))
+    everywhere = replace(drive, mask=np.ones_like(drive.mask))
     found = []
     for segment in trim(everywhere, settings):
-        wide = replace(segment, grid=replace(segment.grid, mask=np.ones_like(segment.mask)))
+        wide = replace(segment, mask=np.ones_like(segment.mask))
         rows = fit_rows(wide, settings)
         if rows.size < 0.5 * drive.rate:
             continue
@@ -246,7 +246,7 @@ class _Expectation:
         keys = tuple(f"effects.{name}.offset" for name in (_ALONG, _LEFT))
         candidates = lanes(self.twin, keys, np.column_stack([ahead, left]))
         response = simulate_lanes(self.twin, candidates, coarser(one.part.road_excitation, _STEP))
-        expected = one.part.grid.apply(response.stacked(self.channels))[one.rows]
+        expected = one.part.apply(response.stacked(self.channels))[one.rows]
         return np.asarray(expected / self.unit[:, None])
 
 

@@ -465,7 +465,7 @@ class Problem:
         return groups
 
     def _conditioned(self, part: Observation, stacked: Floats) -> Floats:
-        signals = part.grid.apply(stacked)
+        signals = part.apply(stacked)
         if self.simulation.centred and self.channels[0] == "vertical_acceleration":
             # a sensor gain also scales gravity: at standstill that is a bias
             signals[:, 0] -= signals[:, 0].mean(axis=0)
@@ -516,7 +516,7 @@ class Problem:
             assert isinstance(driven, Excitation)
             flat = replace(driven, road=np.repeat(driven.road[:1], driven.road.shape[0], axis=0))
             stacked, _ = self._simulated(twin, candidates, flat)
-            responses.append(part.grid.apply(stacked)[:, :, 0])
+            responses.append(part.apply(stacked)[:, :, 0])
         nuisances = self.nuisances.with_planar_response(responses)
         return replace(self, likelihood=replace(self.likelihood, nuisances=nuisances))
 
@@ -534,7 +534,7 @@ class Problem:
         for part in self.data.parts:
             changed = (taped.changed(part.road, row) for row in np.diag(sigma))
             driven = [part.excitation, *(part.on(road).excitation for road in changed)]
-            signals = [part.grid.apply(self._simulated(twin, candidates, e)[0])[:, :, 0] for e in driven]
+            signals = [part.apply(self._simulated(twin, candidates, e)[0])[:, :, 0] for e in driven]
             responses.append(np.stack([s - signals[0] for s in signals[1:]], axis=2) / sigma)
         nuisances = self.nuisances.with_tape_response(responses)
         return replace(self, likelihood=replace(self.likelihood, nuisances=nuisances))

@@ -32,7 +32,7 @@ def drive(pass_case: Any) -> Observation:
 
 def usable(drive: Observation, mask: np.ndarray) -> Observation:
     """The drive with samples (m,) that can be compared."""
-    return replace(drive, grid=replace(drive.grid, mask=mask))
+    return replace(drive, mask=mask)
 
 
 def driven_at(drive: Observation, speed: np.ndarray) -> Observation:
