@@ -72,7 +72,8 @@ def conclude(recorder: Recorder, outcome: SearchOutcome, start: float, began: fl
             outcome = _settled(outcome, setup.objective, found)
     except Interrupted:
         stopped = True
-    values = np.clip(_rounded(outcome.values), space.lower, space.upper)
+    written = [float(f"{v:.7g}") for v in outcome.values]
+    values = np.clip(written, space.lower, space.upper)
     sensor = sensor_estimates(setup, outcome, found, request.keep_sensor) if found and setup.on_road else ()
     estimates = _estimates(setup, values, found)
     nuisances = _nuisances(outcome, found)
@@ -210,11 +211,6 @@ def _late(setup: Setup, values: Floats, found: Uncertainty | None) -> list[str]:
         f"the responses come {abs(value):.1f} ms {side} road and force ({low:.1f} to {high:.1f}): filters or clocks of "
         f"the channels differ; {LATENCY} is written as {value:.1f} ms"
     ]
-
-
-def _rounded(values: Floats) -> Floats:
-    """To seven digits, as they are written."""
-    return np.array([float(f"{v:.7g}") for v in values])
 
 
 def _absorbed(found: Uncertainty | None) -> list[str]:
