@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from suspension_twin.arrays import Floats
+from suspension_twin.arrays import Floats, interpolated
 from suspension_twin.calibration.checks import LEAST_EXCITED, check_drive, check_on_road, check_recording
 from suspension_twin.calibration.presets import PART_KEYS, build_space, preset_named
 from suspension_twin.diagnosis.library import DECOYS, OF_PLACE
@@ -372,10 +372,7 @@ def _repeated(case: Case, problem: Problem, x: Floats) -> Problem:
     scatter, again = np.zeros_like(missed), list[int]()
     for number, part in enumerate(data.parts):
         same = [j for j in quiet if j != number and repeats(part, data.parts[j])]
-        off = [
-            np.stack([np.interp(part.t, data.parts[j].t, c) for c in missed[ends[j] : ends[j + 1]].T], axis=1)
-            for j in same
-        ]
+        off = [interpolated(part.t, data.parts[j].t, missed[ends[j] : ends[j + 1]]) for j in same]
         others = np.mean(off, axis=0) if off else None
         expected.append(others)
         if others is not None and number in quiet:
@@ -409,9 +406,9 @@ def _run_before(
     stamps, late = driven.t - driven.t[0], 0.0 if clock is None else float(clock.delay[0])
     raw = np.zeros((stamps.size, len(channels)))
     for _ in range(_CORRECTIONS):
-        read = np.stack([np.interp(stamps - late, stamps, column) for column in raw.T], axis=1)
+        read = interpolated(stamps - late, stamps, raw)
         left = expected - part.apply(read)
-        raw += np.stack([np.interp(stamps + late, part.t, column) for column in left.T], axis=1)
+        raw += interpolated(stamps + late, part.t, left)
     return replace(part, excitation=RepeatedRun(**vars(driven), channels=tuple(channels), missed=raw))
 
 
