@@ -118,7 +118,7 @@ def _refined(judged: Judged, one: Candidate) -> tuple[Candidate, Problem]:
         if whole.cost <= fit.cost + REACH**2:
             fine, fit = frozen, whole
     problem = fine.having(given.hypothesis)
-    return candidate(replace(judged, problem=problem), evidence(fine, fit, judged.blocks)), problem
+    return candidate(replace(judged, problem=problem), evidence(fine, fit, judged.search.blocks)), problem
 
 
 def _next(case: Case, judged: Judged, document: Json, section: Json | None) -> str:

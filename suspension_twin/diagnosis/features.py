@@ -84,7 +84,7 @@ def _add_intervals(case: Case, judged: Judged, one: Candidate, row: Json) -> Non
     # without a road blocks do not repeat: the discrepancy is independent from block to block
     temper = judged.scale.temper if case.road else 1.0
     fit = linearised_fit(judged.problem.having(one.hypothesis), one.found.fit.x)
-    ends = intervals(judged.problem, fit, judged.blocks, temper)
+    ends = intervals(judged.problem, fit, judged.search.blocks, temper)
     for key, i in zip(*one.hypothesis.on_drive(0), strict=True):
         _, effect, name = key.split(".")
         row["parameters"][effect][name]["interval"] = _plain(ends[i].tolist())
@@ -96,7 +96,7 @@ class _Rows:
     def __init__(self, case: Case, judged: Judged, seed: int) -> None:
         problem = judged.problem
         self.case, self.judged = case, judged
-        self.draws = BlockBootstrap.of(problem, judged.blocks, judged.scale.noise, seed)
+        self.draws = BlockBootstrap.of(problem, judged.search.blocks, judged.scale.noise, seed)
         self.driven = [c for c, name in enumerate(problem.channels) if name in case.driven]
         self.given = self.draws.squares(judged.scale.uncalibrated.difference)
         self.recalibrated = self._squares(judged.base)

@@ -114,11 +114,6 @@ class Judged:
     singles: tuple[Candidate, ...] = ()
     sets: tuple[Candidate, ...] = ()
 
-    @property
-    def blocks(self) -> Blocks:
-        """Blocks of the cross-validation."""
-        return self.search.blocks
-
 
 def judge(
     request: DiagnosisRequest,
@@ -217,7 +212,7 @@ def _since(
 
 def candidate(judged: Judged, found: Evidence) -> Candidate:
     """A hypothesis with its remaining residual."""
-    remaining = remaining_residual(judged.problem, found.fit.hypothesis, found.unknowns, judged.blocks)
+    remaining = remaining_residual(judged.problem, found.fit.hypothesis, found.unknowns, judged.search.blocks)
     return Candidate(found, remaining)
 
 
@@ -281,7 +276,7 @@ def _shrunk(request: DiagnosisRequest, case: Case, judged: Judged) -> list[Candi
     The few effects mask each other (a clock drift resembles a clock offset; a tilt shows only with the right clock),
     so that sets grown from one effect would start from a wrong one.
     """
-    problem, blocks = judged.problem, judged.blocks
+    problem, blocks = judged.problem, judged.search.blocks
     known = library(case.twin, False, request.effects, len(case.drives))
     possible = [c.effects[0] for c in judged.singles if c.powers is not None and detectable(c.powers)]
     if not possible:

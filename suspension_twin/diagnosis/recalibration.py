@@ -93,7 +93,7 @@ def recalibrated(judged: Judged, given: Twin, seed: int) -> list[Json]:
     except InputError:  # the fit has points that the given file has not
         return []
     at = linearised_fit(problem.having(BASELINE), fit.x)
-    covariance = covariance_of(problem, at, judged.blocks, judged.scale.temper)[:d, :d]
+    covariance = covariance_of(problem, at, judged.search.blocks, judged.scale.temper)[:d, :d]
     # not wider than the prior, which the division by the temper may exceed where the drives say nothing
     prior = np.diag(np.linalg.inv(problem.having(BASELINE).joint_prior()[0]))[:d]
     narrower = np.minimum(np.sqrt(prior / np.diag(covariance)), 1.0)
