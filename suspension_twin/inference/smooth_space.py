@@ -159,7 +159,7 @@ def _knots(points: int) -> tuple[int, ...]:
 def _interpolation(points: int) -> Floats:
     """(n, K) linear interpolation from knots that are spread evenly over ``points`` points."""
     at = np.linspace(0.0, points - 1.0, KNOTS)
-    return interpolated(np.arange(points), at, np.eye(KNOTS))
+    return interpolated(np.arange(points, dtype=np.float64), at, np.eye(KNOTS))
 
 
 def _followed(x: Floats, force: Floats, wanted: Sequence[int]) -> list[int]:
