@@ -127,13 +127,7 @@ class ObserveSettings:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Grid:
-    """The uniform grid of m samples that signals are compared on.
-
-    ``t`` (m,) s; ``rate`` Hz; ``bandwidth`` Hz, the cut-off of the low-pass that both sides pass; ``apply`` takes
-    simulated samples (n, ...) to the grid (m, ...); ``position`` (m,) m along the road and ``along`` (m,) m/s its rate;
-    ``mask`` (m,) True where a comparison is meaningful; ``position_sigma`` m, the receiver's own horizontal standard
-    deviation, 0 where it gives none.
-    """
+    """The uniform grid of m samples that signals are compared on; its numbers are those of :class:`Observation`."""
 
     t: Floats
     rate: float
@@ -258,6 +252,22 @@ class Observation(Grid):
 
     Parameters
     ----------
+    t : (m,) array
+        s, the grid of every conditioned signal.
+    rate : float
+        Samples per second of the grid.
+    bandwidth : float
+        Cut-off in Hz of the low-pass that both sides go through.
+    apply : callable
+        Takes simulated samples (n, ...) to the grid (m, ...).
+    position : (m,) array
+        m along the road, or along the path without a road.
+    along : (m,) array
+        m/s, the rate of the position.
+    mask : (m,) array
+        True where a comparison is meaningful.
+    position_sigma : float
+        The receiver's own horizontal standard deviation in m, 0 where it gives none.
     name : str
         Of the drive or run.
     excitation : Excitation or ObstacleRun
