@@ -147,7 +147,7 @@ def _pymoo(problem: Problem, twin: Twin, seconds: float) -> dict[str, Any]:
     class Plain(ElementwiseProblem):  # type: ignore[misc]
         def _evaluate(self, x: np.ndarray, out: dict[str, Any], *args: Any, **kwargs: Any) -> None:
             candidate = problem.space.applied(twin, np.asarray(x))
-            signal = part.grid.apply(car.simulate(candidate.vehicle))[rows]
+            signal = part.apply(car.simulate(candidate.vehicle))[rows]
             out["F"] = float(np.sqrt(np.sum((signal - wanted) ** 2)))
             counted.note(np.array([out["F"]]))
 

@@ -31,8 +31,11 @@ sys.path.insert(0, str(HERE))
 
 import numpy as np  # noqa: E402
 from blind.folder import faults_of, road_file, twin_file  # noqa: E402
-from blind.plan import Seeds, Spec  # noqa: E402
-from blind.plan import plan as cases  # noqa: E402
+from blind.plan import (  # noqa: E402
+    Seeds,
+    Spec,
+    plan as cases,
+)
 from blind.world import World, make_world  # noqa: E402
 from options import parse_options  # noqa: E402
 

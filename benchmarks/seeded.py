@@ -45,8 +45,7 @@ from rich.table import Table
 from scipy.interpolate import CubicSpline
 from scipy.signal import savgol_filter
 from scipy.spatial.transform import Rotation
-from seeded_vehicle import NAMELESS, VEHICLE, changed
-from seeded_vehicle import faults_of as vehicle_faults
+from seeded_vehicle import NAMELESS, VEHICLE, changed, faults_of as vehicle_faults
 
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.request import DiagnosisRequest

@@ -532,7 +532,7 @@ def rig_picture() -> None:
     name = next(iter(seen.measured))
     series = {"measured": ("measured", seen.measured[name])}
     for role, label in (("before", "twin as written"), ("simulated", "calibrated on another run")):
-        series[label] = (role, seen.grid.apply(results[role].response.channel(name)[:, 0]))
+        series[label] = (role, seen.apply(results[role].response.channel(name)[:, 0]))
     with style.using():
         fig = style.figure(8.6, 2.6)
         axes = fig.subplots()

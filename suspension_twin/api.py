@@ -23,8 +23,7 @@ from suspension_twin.errors import InputError
 from suspension_twin.vehicle.twin import Twin, load_twin, save_twin
 
 if TYPE_CHECKING:
-    from suspension_twin.calibration.request import CalibrationResult
-    from suspension_twin.calibration.request import Progress as CalibrationProgress
+    from suspension_twin.calibration.request import CalibrationResult, Progress as CalibrationProgress
     from suspension_twin.diagnosis.decision import Costs
     from suspension_twin.diagnosis.request import DiagnosisProgress, DiagnosisResult
     from suspension_twin.drive.read import Topics

@@ -13,8 +13,7 @@ from __future__ import annotations
 import numpy as np
 from extras import missing
 
-from blind import linkage_forces as lf
-from blind import multibody as mb
+from blind import linkage_forces as lf, multibody as mb
 from blind.newton import Faults, Motion
 from blind.world import DAMPER_REACH, SPRING_REACH, Car, Floats, Plan, World
 

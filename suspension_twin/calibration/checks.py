@@ -12,6 +12,7 @@ from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.inference.excited_segments import TrimSettings
 from suspension_twin.inference.observation import NO_DATUM, Observation
+from suspension_twin.inference.placement import SAME_ROAD
 
 __all__ = [
     "LEAST_EXCITED",
@@ -25,9 +26,6 @@ __all__ = [
 #: Seconds of excited driving below which nothing is fitted: two periods of a body's bounce at 1.3 Hz.
 LEAST_EXCITED = 1.5
 _FASTEST_PARKED = 1.0  # m/s
-#: Correlation of the fitted twin's vertical acceleration with the measured one, below which the road is
-#: taken for another: a seven-degree model on the right road reaches 0.9 and more, on a wrong one 0.3.
-LEAST_CORRELATION = 0.5
 
 
 def check_recording(drive: Drive) -> None:
@@ -107,7 +105,7 @@ def check_on_road(drive: Observation, settings: TrimSettings) -> None:
 def check_agreement(names: Sequence[str], correlations: Sequence[float], road: str) -> None:
     """Refuse the result where measured and simulated acceleration hardly correlate."""
     for name, correlation in zip(names, correlations, strict=True):
-        if not correlation >= LEAST_CORRELATION:
+        if not correlation >= SAME_ROAD:
             raise WorkError(
                 f"{name}: measured and simulated vertical acceleration have little in common even at the best fit "
                 f"(correlation {correlation:.2f}): was it another road than {road}, is the map or a clock off by "

@@ -23,7 +23,7 @@ class CmaSearch:
     """``ask`` gives candidates (n, d), ``tell`` takes their costs (n,)."""
 
     def __init__(
-        self, start: Floats, sigma: float, seed: int, population: int = 0, generations: int = 300
+        self, start: Floats, sigma: float, seed: int, population: int, generations: int = 300
     ) -> None:
         import cma  # takes a second, and most objectives do not need it
 
@@ -32,11 +32,10 @@ class CmaSearch:
             "randn": lambda *shape: draw(shape),
             "seed": math.nan,  # leaves NumPy's global generator alone
             "maxiter": generations,
+            "popsize": population,
             "tolfunrel": _TOLERANCE,
             "verbose": -9,
         }
-        if population:
-            options["popsize"] = population
         self._search = cma.CMAEvolutionStrategy(start, sigma, options)
         self._asked: list[Floats] = []
         self.best_point, self.mean_cost = (start.astype(float), np.inf), np.inf

@@ -54,15 +54,13 @@ def _cheapest(pop: Any, contestants: Any, **_: object) -> Any:
 class GeneticSearch:
     """The search as ``ask`` (candidates in unit coordinates (n, d)) and ``tell`` (their costs)."""
 
-    def __init__(self, dimension: int, settings: GaSettings, seed: int, start: Floats | None = None) -> None:
+    def __init__(self, dimension: int, settings: GaSettings, seed: int) -> None:
         self.settings = settings
         self.rng = np.random.default_rng(seed)
         self.best: list[float] = []
         self.mean: list[float] = []
         self.population, self.costs = np.empty((0, dimension)), np.empty(0)
         self._asked = self.rng.random((settings.population, dimension))
-        if start is not None:
-            self._asked[0] = np.clip(start, 0.0, 1.0)
         self._problem = Problem(n_var=dimension, n_obj=1, xl=0.0, xu=1.0)
         self._mating = Mating(
             TournamentSelection(func_comp=_cheapest), UX(prob=settings.crossover_fraction), PM()

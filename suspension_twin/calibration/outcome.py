@@ -26,6 +26,7 @@ from suspension_twin.calibration.request import (
 from suspension_twin.calibration.searches import costs_of
 from suspension_twin.calibration.sensor import sensor_estimates, with_sensor
 from suspension_twin.calibration.setup import Setup
+from suspension_twin.calibration.squares import LATENCY
 from suspension_twin.calibration.uncertainty import HALF_WIDTH, Uncertainty, assess, curve_estimates
 from suspension_twin.calibration.yardstick import yardstick
 from suspension_twin.inference.gap import channel_unit
@@ -35,8 +36,6 @@ from suspension_twin.vehicle.twin import Twin, value_at
 
 __all__ = ["conclude", "unfinished"]
 
-_DIGITS = 7
-LATENCY = "imu.latency"
 _ONE_PASS = (
     "one pass over what excites: nothing can be held out, how well the twin predicts another is not known"
 )
@@ -73,7 +72,8 @@ def conclude(recorder: Recorder, outcome: SearchOutcome, start: float, began: fl
             outcome = _settled(outcome, setup.objective, found)
     except Interrupted:
         stopped = True
-    values = np.clip(_rounded(outcome.values), space.lower, space.upper)
+    written = [float(f"{v:.7g}") for v in outcome.values]
+    values = np.clip(written, space.lower, space.upper)
     sensor = sensor_estimates(setup, outcome, found, request.keep_sensor) if found and setup.on_road else ()
     estimates = _estimates(setup, values, found)
     nuisances = _nuisances(outcome, found)
@@ -193,7 +193,7 @@ def _early(sensor: tuple[SensorEstimate, ...]) -> list[str]:
         f"the samples of the IMU seem to come {-1e3 * s.value:.0f} ms before they are taken ({-1e3 * s.high:.0f} to "
         f"{-1e3 * s.low:.0f}): the positions of the receiver come late, or its clock is; {s.key} stays {s.start:g} s"
         for s in sensor
-        if s.key == "imu.latency" and s.high < 0.0
+        if s.key == LATENCY and s.high < 0.0
     ]
 
 
@@ -211,11 +211,6 @@ def _late(setup: Setup, values: Floats, found: Uncertainty | None) -> list[str]:
         f"the responses come {abs(value):.1f} ms {side} road and force ({low:.1f} to {high:.1f}): filters or clocks of "
         f"the channels differ; {LATENCY} is written as {value:.1f} ms"
     ]
-
-
-def _rounded(values: Floats) -> Floats:
-    """To seven digits, as they are written."""
-    return np.array([float(f"{v:.{_DIGITS}g}") for v in values])
 
 
 def _absorbed(found: Uncertainty | None) -> list[str]:

@@ -47,14 +47,8 @@ from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["common_offset", "sensor_estimates", "with_sensor"]
 
-#: Variances that a regressor has to explain to be kept: Mallows' Cp.
-_CP_PENALTY = 2.0
-#: Channels in which gravity shows a tilt of the sensor: about which axis, and the sign of what it adds.
-_GRAVITY = {"lateral_acceleration": ("roll", 1.0), "longitudinal_acceleration": ("pitch", -1.0)}
-_AXES = [1, 0]  # of these channels in base_link
-_NONE = NuisancePriors()
-#: Probability below which two witnesses contradict each other.
-_CONTRADICTION = float(chdtrc(1, REACH * REACH))
+#: Channels in which gravity shows a tilt of the sensor, along x and y: about which axis, and the sign of what it adds.
+_GRAVITY = {"longitudinal_acceleration": ("pitch", -1.0), "lateral_acceleration": ("roll", 1.0)}
 
 
 def sensor_estimates(
@@ -87,7 +81,7 @@ def sensor_estimates(
         witnesses = [(-float(outcome.nuisance[row]), v[row, row]) for v in (given, marginal)]
         others = [level[axis]] if axis in level else []
         (_, s, _), (value, sigma, p) = (common_offset(*_stacked([witness, *others])) for witness in witnesses)
-        trusted = not p < _CONTRADICTION
+        trusted = not p < chdtrc(1, REACH**2)  # the two witnesses agree
         found.append(_estimate(f"mount.{axis}", "rad", 0.0, value, s, sigma, keep=keep or not trusted, p=p))
     return tuple(found)
 
@@ -124,11 +118,11 @@ def _by_gravity(setup: Setup, outcome: SearchOutcome) -> dict[str, tuple[float, 
     if not all(np.ptp(part.signals.up, axis=0).any() for part in known.parts):
         return {}
     terms = parse_objective("euclidean", dict.fromkeys(_GRAVITY, 1.0))
-    problem, _ = problem_of(setup.twin, outcome.problem.space, known, terms, _NONE)
+    problem, _ = problem_of(setup.twin, outcome.problem.space, known, terms, NuisancePriors())
     signals, _ = problem.signals_of(outcome.values[:, None], np.zeros((0, 1)))
     simulated = problem.likelihood.compared(signals, np.zeros((0, 1)))[:, :, 0]
     taken_off = [
-        np.repeat(part.signals.force_bias[None, _AXES], rows.size, axis=0)
+        np.repeat(part.signals.force_bias[None, :2], rows.size, axis=0)
         for part, rows in zip(known.parts, known.rows, strict=True)
     ]
     residual = problem.measured.values + np.concatenate(taken_off) - simulated
@@ -177,7 +171,7 @@ def _estimate(
 ) -> SensorEstimate:
     """``given`` is the standard deviation of ``value`` given the vehicle, ``sigma`` that whatever the vehicle is."""
     low, high = value - HALF_WIDTH * sigma, value + HALF_WIDTH * sigma
-    written = not keep and (value - start) ** 2 > _CP_PENALTY * given**2
+    written = not keep and (value - start) ** 2 > 2.0 * given**2  # Mallows' Cp
     return SensorEstimate(key, unit, start, float(f"{value:.6g}"), low, high, written, p)
 
 

@@ -26,11 +26,11 @@ from suspension_twin.inference.posterior import travel
 from suspension_twin.inference.problem import Interrupted, Problem
 from suspension_twin.inference.spring_position import FARTHEST, standing_at
 
-__all__ = ["LIKELIHOOD", "in_floors", "moved", "run_squares"]
+__all__ = ["FAINT", "LATENCY", "LIKELIHOOD", "in_floors", "moved", "run_squares"]
 
 _EXPECTED = 700.0  # evaluations, for the time left
 #: Weight of the prior beside an objective that was asked for by name.
-_FAINT = 1e-3
+FAINT = 1e-3
 #: Residuals in floors (the median of the channels) up to which no other corner is tried.
 _AT_FLOOR = 1.3
 #: Offsets that are simulated from here on instead of interpolated: s and m.
@@ -38,12 +38,12 @@ _PLACE_CLOCK, _PLACE_MAP = 2e-3, 2e-2
 #: Standard deviations of the random restarts of a search with a named objective.
 _SHAKES = (2.0, 4.0, 4.0)
 _NEAREST_CORNER = 0.003  # m
-_LATENCY = "imu.latency"
+LATENCY = "imu.latency"
 
 
 @dataclass(frozen=True)
 class _Round:
-    """One minimisation. ``faint``: the prior has the weight ``_FAINT`` (it settles what the objective does not
+    """One minimisation. ``faint``: the prior has the weight ``FAINT`` (it settles what the objective does not
     depend on), unless the objective is the likelihood; ``hop``: (spring, corner) to start at, or None."""
 
     stage: str
@@ -115,7 +115,7 @@ def run_squares(recorder: Recorder) -> SearchOutcome:
         stopped = True
     values = fit.base.space.from_slopes(fit.x[: fit.d])
     nuisance = fit.x[fit.d :] + fit.placed
-    squares = SquaresFit(fit.x, fit.likelihood, 1.0 if fit.balanced else _FAINT)
+    squares = SquaresFit(fit.x, fit.likelihood, 1.0 if fit.balanced else FAINT)
     return SearchOutcome(values, nuisance, fit.cost, fit.problem, fit.placed, squares, stopped)
 
 
@@ -166,8 +166,8 @@ class _Fit:
         for curve in space.curves:
             rows = [r for r in curve.rows if r >= 0]
             starts[rows] += 0.4 * rng.standard_normal(BATCH)
-        if _LATENCY in space.keys:  # no gradient leads over half a period of the fastest motion
-            starts[space.keys.index(_LATENCY)] += 2.0 * rng.standard_normal(BATCH)
+        if LATENCY in space.keys:  # no gradient leads over half a period of the fastest motion
+            starts[space.keys.index(LATENCY)] += 2.0 * rng.standard_normal(BATCH)
         starts[:, 0] = space.z0
         objective = self.recorder.setup.objective
         values = space.from_slopes(starts)
@@ -251,7 +251,7 @@ class _Fit:
         measured = self.problem.measured
 
         def found() -> tuple[tuple[int, ...], Floats, Floats]:
-            noise = Whitener.of_residual(measured, self.compared(x))
+            noise = Whitener.of_residual(measured, self.problem.readings(x))
             return noise.group, noise.filters, noise.sigma
 
         return Whitener.with_filters(measured, *self.recorder.known(1, found))
@@ -275,11 +275,11 @@ class _Fit:
             return 1.0
 
         def square() -> float:
-            residual = self.recorder.setup.objective.residuals(self.compared(start)[:, :, None])
+            residual = self.recorder.setup.objective.residuals(self.problem.compared(start[:, None]))
             return float(np.mean(residual**2))
 
         variance = max(self.recorder.known(1, square) / self.problem.measured.independent, 1e-30)
-        return variance * (_FAINT if planned.faint and not self.balanced else 1.0)
+        return variance * (FAINT if planned.faint and not self.balanced else 1.0)
 
     def _place(self) -> None:
         """Simulate the offsets found so far where they are too large to interpolate; not of controlled runs."""
@@ -300,10 +300,6 @@ class _Fit:
 
     # -- evaluation -------------------------------------------------------------------------------
 
-    def compared(self, x: Floats) -> Floats:
-        """(M, C) signals at coordinates ``x``, nuisances included."""
-        return self.problem.compared(x[:, None])[:, :, 0]
-
     def costs_at(self, x: Floats) -> float:
         """The objective's cost at coordinates ``x``."""
         values, objective = self.base.space.from_slopes(x[: self.d, None]), self.recorder.setup.objective
@@ -313,7 +309,7 @@ class _Fit:
     def floors(self) -> float:
         """Residual rms in units of the noise floor; the median of the channels."""
         setup = self.recorder.setup
-        return self.recorder.known(1, lambda: in_floors(setup, self.problem, self.compared(self.x)))
+        return self.recorder.known(1, lambda: in_floors(setup, self.problem, self.problem.readings(self.x)))
 
 
 def in_floors(setup: Setup, problem: Problem, compared: Floats) -> float:

@@ -33,7 +33,15 @@ from suspension_twin.calibration.squares import LIKELIHOOD, in_floors
 from suspension_twin.inference.gauss_newton import GaussNewton
 from suspension_twin.inference.noise import NEAR_FLOOR, ScaledObjective, Whitener
 from suspension_twin.inference.objectives import Objective, Term
-from suspension_twin.inference.posterior import Posterior, Travel, posterior, span_of, travel
+from suspension_twin.inference.posterior import (
+    Posterior,
+    Travel,
+    drawn_curve,
+    forces_at,
+    posterior,
+    span_of,
+    travel,
+)
 from suspension_twin.inference.problem import JointPrior, Noise, Problem
 from suspension_twin.inference.runs import TWO_PERIODS
 from suspension_twin.inference.space import Curve, Space
@@ -131,10 +139,10 @@ def _best_fit(
     x = _polished(problem, _likelihood_at(problem, x), x, precision, outcome.placed)
     likelihood = _likelihood_at(problem, x)
     x = _polished(problem, likelihood, x, precision, outcome.placed)
-    if ended is None and in_floors(setup, problem, _compared(problem, x)) < NEAR_FLOOR:
+    if ended is None and in_floors(setup, problem, problem.readings(x)) < NEAR_FLOOR:
         return x, likelihood, None
     objective = _least_squares(setup.objective)
-    squares = ScaledObjective.at(objective, _compared(problem, x if ended is None else ended.x))
+    squares = ScaledObjective.at(objective, problem.readings(x if ended is None else ended.x))
     fit = _polished(problem, squares, x, precision, outcome.placed) if ended is None else ended.x
     return fit, squares, x - fit
 
@@ -206,10 +214,6 @@ def _travel_at(setup: Setup, problem: Problem, x: Floats) -> Travel:
     return travel(problem.space.applied(setup.twin, values), problem)
 
 
-def _compared(problem: Problem, x: Floats) -> Floats:
-    return problem.compared(x[:, None])[:, :, 0]
-
-
 def _widened(setup: Setup, outcome: SearchOutcome) -> Problem:
     """The problem in a space with wide bounds, so that an interval may reach beyond those of the search."""
     problem = outcome.problem
@@ -226,7 +230,7 @@ def _least_squares(objective: Objective) -> Objective:
 
 
 def _likelihood_at(problem: Problem, x: Floats) -> Whitener:
-    return Whitener.of_residual(problem.measured, _compared(problem, x))
+    return Whitener.of_residual(problem.measured, problem.readings(x))
 
 
 def _polished(
@@ -255,11 +259,8 @@ def _curve(setup: Setup, twin: Twin, found: Uncertainty, curve: Curve) -> CurveE
     grid = np.linspace(0.0, curve.x[-1], _GRID)
     value = twin_value(twin, curve.key).points[1]
     before_x, before = twin_value(setup.original, curve.key).points
-    draws = np.repeat(value[:, None], found.posterior.draws.shape[1], axis=1)
-    free = [(i, r) for i, r in enumerate(curve.rows) if r >= 0]
-    for i, row in free:
-        draws[i] = found.posterior.draws[row]
-    low, high = np.quantile(_interpolated(grid, curve.x, draws), INTERVAL, axis=1)
+    _, draws = drawn_curve(curve, twin, found.posterior.draws)
+    low, high = np.quantile(forces_at(grid, curve.x, draws), INTERVAL, axis=1)
     static, from_rest = float("nan"), None
     if curve.part == "spring" and np.isfinite(span[0]):
         static = found.where.static[curve.axle]
@@ -268,8 +269,8 @@ def _curve(setup: Setup, twin: Twin, found: Uncertainty, curve: Curve) -> CurveE
         key=curve.key,
         unit=curve.unit,
         band=Band(grid, low, high),
-        force=_interpolated(grid, curve.x, value[:, None])[:, 0],
-        start=_interpolated(grid, before_x, before[:, None])[:, 0],
+        force=forces_at(grid, curve.x, value[:, None])[:, 0],
+        start=forces_at(grid, before_x, before[:, None])[:, 0],
         span=span,
         static=static,
         from_rest=from_rest,
@@ -278,11 +279,11 @@ def _curve(setup: Setup, twin: Twin, found: Uncertainty, curve: Curve) -> CurveE
 
 def _from_rest(x: Floats, force: Floats, draws: Floats, static: float, span: tuple[float, float]) -> Band:
     """Band over the travel from standstill: each draw counted from where it bears the same load."""
-    load = float(_interpolated(np.array([static]), x, force[:, None])[0, 0])
+    load = float(forces_at(static, x, force[:, None])[0])
     travel = np.linspace(span[0] - static, span[1] - static, _GRID)
     place = _place_of(load, x, draws)
     thinned = slice(0, None, 4)
-    forces = _interpolated(travel[:, None] + place[thinned], x, draws[:, thinned])
+    forces = forces_at(travel[:, None] + place[thinned], x, draws[:, thinned])
     low, high = np.quantile(forces, INTERVAL, axis=1)
     return Band(travel, low, high)
 
@@ -296,17 +297,3 @@ def _place_of(load: float, x: Floats, force: Floats) -> Floats:
     bottom = values[above - 1, lane]
     rise = np.maximum(values[above, lane] - bottom, 1e-9)
     return np.asarray(edges[above - 1] + (load - bottom) / rise * (edges[above] - edges[above - 1]))
-
-
-def _interpolated(grid: Floats, x: Floats, force: Floats) -> Floats:
-    """(g, N) forces of N curves (k, N) through (0, 0), going on with their first and last slopes.
-
-    ``grid`` (g,) for all of them, or (g, N) each its own."""
-    edges = np.concatenate([[0.0], x])
-    values = np.concatenate([np.zeros((1, force.shape[1])), force])
-    segment = np.clip(np.searchsorted(edges, grid, side="right") - 1, 0, x.size - 1)
-    share = (grid - edges[segment]) / (edges[segment + 1] - edges[segment])
-    if grid.ndim == 1:
-        return np.asarray(values[segment] + share[:, None] * (values[segment + 1] - values[segment]))
-    below, above = (np.take_along_axis(values, at, axis=0) for at in (segment, segment + 1))
-    return np.asarray(below + share * (above - below))

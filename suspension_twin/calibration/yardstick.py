@@ -23,6 +23,7 @@ from suspension_twin.calibration.presets import PRESETS, build_space
 from suspension_twin.calibration.recorder import SearchOutcome
 from suspension_twin.calibration.request import Yardstick
 from suspension_twin.calibration.setup import Setup, problem_of
+from suspension_twin.calibration.squares import FAINT
 from suspension_twin.inference.cross_validation import FOLDS
 from suspension_twin.inference.gap import main_channel
 from suspension_twin.inference.gauss_newton import GaussNewton, GaussNewtonSettings
@@ -40,7 +41,6 @@ __all__ = ["straight", "yardstick"]
 #: Keys that are free with the slopes of a car with straight characteristics.
 _BESIDE = ("vehicle.tyre.vertical_stiffness", "vehicle.front.unsprung_mass", "vehicle.rear.unsprung_mass")
 _MOST_RUNS = 4  # parts that runs are held out in (numerics: one more costs a fit)
-_FAINT = 1e-3  # weight of the prior beside residuals in units of the motion (numerics: it settles what is not seen)
 _DESCENT = GaussNewtonSettings(iterations=6, tolerance=1e-3)
 
 
@@ -149,7 +149,7 @@ def _held_out(
 def _plain(problem: Problem, x: Floats, weights: Floats) -> _Plain:
     """Residuals in units of their own size at ``x`` (d + q,), with ``weights`` (C,) of the channels."""
     measured = problem.measured.values
-    weighted = (problem.compared(x[:, None])[:, :, 0] - measured) * weights
+    weighted = (problem.readings(x) - measured) * weights
     return _Plain(measured, max(float(np.std(weighted)), 1e-12) / weights)
 
 
@@ -164,7 +164,7 @@ def _of_given(problem: Problem, placed: Floats, x: Floats, weights: Floats) -> F
     residuals = problem.weighed(_plain(problem, start, weights))
     solver = GaussNewton(residuals, start, precision, centre, low, high, settings=_DESCENT)
     solver.run()
-    return problem.compared(solver.x[:, None])[:, :, 0]
+    return problem.readings(solver.x)
 
 
 def _of_corner(problem: Problem, part: NDArray[np.intp], channel: str) -> Floats:
@@ -196,7 +196,7 @@ def _of_straight(setup: Setup, problem: Problem, x: Floats, part: NDArray[np.int
     solver = GaussNewton(
         fresh.weighed(_Plain(problem.measured.values, scale)),
         start,
-        _FAINT * fresh.prior.precision,
+        FAINT * fresh.prior.precision,
         np.concatenate([space.z0, x[problem.d :]]),
         settings=_DESCENT,
     )

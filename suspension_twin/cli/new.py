@@ -12,11 +12,10 @@ import typer
 
 from suspension_twin.cli.common import Force, Outputs, bundled, output
 from suspension_twin.errors import InputError, nearest, printable
-from suspension_twin.vehicle.twin import Datum
+from suspension_twin.vehicle.twin import Datum, RoadFile, Twin, load_twin, save_twin
 
 if TYPE_CHECKING:
     from suspension_twin.vehicle.new import Sizes
-    from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["command"]
 
@@ -57,7 +56,6 @@ def command(
     from suspension_twin.drive.read import read_drive
     from suspension_twin.inference.observation import NO_DATUM, first_fix
     from suspension_twin.vehicle.new import resized
-    from suspension_twin.vehicle.twin import RoadFile, load_twin, save_twin
 
     outputs = Outputs(out, force=force)
     if road is not None and not road.is_file():

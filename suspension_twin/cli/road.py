@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import math
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
@@ -258,8 +259,6 @@ def make(
 
     All dimensions in m, each option as often as needed: --bump 0.9x0.05@40 --pothole 0.6x0.07@80:left.
     """
-    import math
-
     from suspension_twin.pose.local_map import LocalMap
     from suspension_twin.road.check import check_road
     from suspension_twin.road.crg import write_road
@@ -394,8 +393,6 @@ def profile(
     force: Force = False,
 ) -> None:
     """Make a road of a profiler's file: ERD, CSV of one to many lines, OpenDRIVE with OpenCRG surfaces."""
-    import math
-
     from suspension_twin.road.check import check_road
     from suspension_twin.road.crg import write_road
     from suspension_twin.road.opendrive import read_opendrive

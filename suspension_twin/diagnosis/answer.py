@@ -62,7 +62,7 @@ def answer_of(evidence: Json, decision: Decision) -> Json:
         "no_gap_probability": round(decision.no_gap, 6),
         "recalibration_probability": round(decision.no_gap, 6) if _needed(base) else 0.0,
         "unknown_probability": round(decision.unknown, 6),
-        "candidates": [_named(c) for c in decision.candidates],
+        "candidates": [" + ".join(causes) or "no_gap" for causes in decision.candidates],
         "combination": list(decision.row["effects"]) if decision.row is not None else [],
         "unexplained": rounded(1.0 - left["shrink"]),
         "recalibration": _shrink(base.get("better", base["channels"][main]["written"])),
@@ -178,10 +178,6 @@ def _shrink(one: Json) -> Json:
         "shrink": one["shrink"],
         "shrink_interval": [one["low"], one["high"]],
     }
-
-
-def _named(causes: tuple[str, ...]) -> str:
-    return " + ".join(causes) if causes else "no_gap"
 
 
 def rounded(value: float) -> float:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from suspension_twin.arrays import Floats
+from suspension_twin.arrays import Floats, interpolated
 from suspension_twin.calibration.checks import LEAST_EXCITED, check_drive, check_on_road, check_recording
 from suspension_twin.calibration.presets import PART_KEYS, build_space, preset_named
 from suspension_twin.diagnosis.library import DECOYS, OF_PLACE
@@ -267,8 +267,8 @@ def drive_problem(
     """A problem whose noise model takes the discrepancy for the usual share of the motion; ``space`` None for the
     vehicle's parameters of a diagnosis."""
     nuisances = data.nuisances(priors, wander)
-    floors = [dict(d.noise_rms) for d in data.parts]
-    noise = Whitener.designed(data.measured, np.full(len(data.channels), USUAL_SHARE), floors)
+    usual = np.full(len(data.channels), USUAL_SHARE)
+    noise = Whitener.designed(data.measured, usual, [d.noise_rms for d in data.parts])
     likelihood = Likelihood(data, nuisances, noise, weight=effective_weight(noise), affine=True)
     return Problem.of(twin, _space(twin) if space is None else space, likelihood, simulation)
 
@@ -341,12 +341,12 @@ def baseline(case: Case, problem: Problem) -> tuple[Problem, LinearisedFit, Line
 def with_noise_of(problem: Problem, x: Floats, drives: Sequence[int], usual: Sequence[str] = ()) -> Problem:
     """The problem with the noise that its fit at ``x`` leaves on some drives; ``usual`` channels keep the usual share
     of the motion."""
-    simulated = problem.compared(x[:, None])[:, :, 0]
+    simulated = problem.readings(x)
     left = shares(problem.measured, simulated - problem.measured.values, drives)
     for c, channel in enumerate(problem.channels):
         if channel in usual:
             left[c] = USUAL_SHARE
-    noise = Whitener.designed(problem.measured, left, _floors(problem))
+    noise = Whitener.designed(problem.measured, left, [d.noise_rms for d in problem.data.parts])
     # the size of the noise in each channel is that of the residuals
     white = noise.residuals(simulated[:, :, None])[:, 0]
     rows, scale = np.isin(noise.drive, drives), noise.scale.copy()
@@ -354,10 +354,6 @@ def with_noise_of(problem: Problem, x: Floats, drives: Sequence[int], usual: Seq
         own = white[rows & (noise.channel == c)]
         scale[c] *= float(np.clip(np.sqrt(np.mean(own**2)), 1e-2, 1e3)) if own.size else 1.0
     return problem.weighed(replace(noise, scale=scale), weight=effective_weight(noise))
-
-
-def _floors(problem: Problem) -> list[dict[str, float]]:
-    return [dict(d.noise_rms) for d in problem.data.parts]
 
 
 def _repeated(case: Case, problem: Problem, x: Floats) -> Problem:
@@ -371,17 +367,14 @@ def _repeated(case: Case, problem: Problem, x: Floats) -> Problem:
     1 + 1 / (n - 1) times the variance of a run, a run after them misses their mean by 1 + 1 / n times that.
     """
     data, measured = problem.data, problem.measured
-    missed = measured.values - problem.compared(x[:, None])[:, :, 0]
+    missed = measured.values - problem.readings(x)
     ends = np.cumsum([0, *(r.size for r in data.rows)])
     quiet = [j for j, active in enumerate(data.active) if not active]
     expected: list[Floats | None] = []
     scatter, again = np.zeros_like(missed), list[int]()
     for number, part in enumerate(data.parts):
         same = [j for j in quiet if j != number and repeats(part, data.parts[j])]
-        off = [
-            np.stack([np.interp(part.t, data.parts[j].t, c) for c in missed[ends[j] : ends[j + 1]].T], axis=1)
-            for j in same
-        ]
+        off = [interpolated(part.t, data.parts[j].t, missed[ends[j] : ends[j + 1]]) for j in same]
         others = np.mean(off, axis=0) if off else None
         expected.append(others)
         if others is not None and number in quiet:
@@ -392,7 +385,7 @@ def _repeated(case: Case, problem: Problem, x: Floats) -> Problem:
     share = _DOUBT * shares(measured, missed, quiet)
     if again:
         share = np.hypot(share, shares(measured, scatter, again))
-    noise = Whitener.designed(measured, share, _floors(problem))
+    noise = Whitener.designed(measured, share, [d.noise_rms for d in data.parts])
     twin = twin_of(problem, Fit(problem.hypothesis, x, 0.0))
     wander = [0.0] * len(case.drives)
     before = [_run_before(twin, p, e, data.channels) for p, e in zip(data.parts, expected, strict=True)]
@@ -415,9 +408,9 @@ def _run_before(
     stamps, late = driven.t - driven.t[0], 0.0 if clock is None else float(clock.delay[0])
     raw = np.zeros((stamps.size, len(channels)))
     for _ in range(_CORRECTIONS):
-        read = np.stack([np.interp(stamps - late, stamps, column) for column in raw.T], axis=1)
-        left = expected - part.grid.apply(read)
-        raw += np.stack([np.interp(stamps + late, part.t, column) for column in left.T], axis=1)
+        read = interpolated(stamps - late, stamps, raw)
+        left = expected - part.apply(read)
+        raw += interpolated(stamps + late, part.t, left)
     return replace(part, excitation=RepeatedRun(**vars(driven), channels=tuple(channels), missed=raw))
 
 

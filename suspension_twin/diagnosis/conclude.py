@@ -66,7 +66,7 @@ def conclude(
     base = twin_of(judged.problem, judged.base.found.fit)
     twin = twin_of(judged.problem, kept.found.fit) if kept_row(rows, decision) is not None else case.twin
     document = answer_of(rows, decision)
-    document["where"] = localise(judged.problem, judged.base.remaining.difference, judged.noise, base)
+    document["where"] = localise(judged.problem, judged.base.remaining.difference, judged.scale.noise, base)
     section = _road_section(case, judged, request.effects) if case.road and kept is judged.base else None
     if document["verdict"] in WITH_SIGNATURE:
         document["signature"] = {
@@ -111,14 +111,14 @@ def _refined(judged: Judged, one: Candidate) -> tuple[Candidate, Problem]:
         fine = replace(fine, prior=replace(fine.prior, spread=spread))
         fit = fitted(fine, [fit.x], LONG)
     same = tuple(n for e in hypothesis.effects for n in NUISANCE_COUNTERPART.get(e, ()))
-    if same and judged.reference is None:
+    if same and judged.scale.reference is None:
         frozen = replace(fine, prior=replace(fine.prior, frozen=same))
         whole = fitted(frozen, [fit.x], LONG)
         # not more than a nuisance parameter at the end of its reach costs
         if whole.cost <= fit.cost + REACH**2:
             fine, fit = frozen, whole
     problem = fine.having(given.hypothesis)
-    return candidate(replace(judged, problem=problem), evidence(fine, fit, judged.blocks)), problem
+    return candidate(replace(judged, problem=problem), evidence(fine, fit, judged.search.blocks)), problem
 
 
 def _next(case: Case, judged: Judged, document: Json, section: Json | None) -> str:
@@ -144,13 +144,15 @@ def _road_section(case: Case, judged: Judged, only: Sequence[str]) -> Json | Non
     """The section of road where the recalibrated residual is concentrated, with the errors of the road file that would
     explain it there, ``like`` whether one does; None without a section."""
     problem = judged.problem
-    there = concentrated_section(problem, judged.base.remaining, judged.noise)
+    there = concentrated_section(problem, judged.base.remaining, judged.scale.noise)
     if there is None:
         return None
     of_the_road = [e for e, effect in EFFECTS.items() if effect.where == "road" and (not only or e in only)]
     offered = library(case.twin, True, of_the_road) if of_the_road else {}
     x = judged.base.found.fit.x[: problem.shared]
-    like = road_error_matches(problem, x, there, [h for v in offered.values() for h in v], judged.temper)
+    like = road_error_matches(
+        problem, x, there, [h for v in offered.values() for h in v], judged.scale.temper
+    )
     if there.beyond <= usual("place") and not like:
         return None
     named = [
@@ -214,7 +216,7 @@ def _simulated(problem: Problem, part: Observation, twin: Twin, channel: str) ->
     """(m,) one simulated channel of a drive or a run, which the effects of the twin may read in another way."""
     if part.reading is None:
         response = simulate_lanes(twin, pack(twin)[:, None], part.excitation)
-        return np.asarray(part.grid.apply(response.stacked([channel]))[:, 0, 0])
+        return np.asarray(part.apply(response.stacked([channel]))[:, 0, 0])
     own = [e.id for e in problem.twin.effects]
     correction = part.reading.correction([e.id for e in twin.effects], own, problem.simulation.upright)
     excitation = part.reading.excitation(correction, problem.simulation.step)

@@ -82,9 +82,9 @@ def add_intervals(case: Case, judged: Judged, rows: Json) -> None:
 
 def _add_intervals(case: Case, judged: Judged, one: Candidate, row: Json) -> None:
     # without a road blocks do not repeat: the discrepancy is independent from block to block
-    temper = judged.temper if case.road else 1.0
+    temper = judged.scale.temper if case.road else 1.0
     fit = linearised_fit(judged.problem.having(one.hypothesis), one.found.fit.x)
-    ends = intervals(judged.problem, fit, judged.blocks, temper)
+    ends = intervals(judged.problem, fit, judged.search.blocks, temper)
     for key, i in zip(*one.hypothesis.on_drive(0), strict=True):
         _, effect, name = key.split(".")
         row["parameters"][effect][name]["interval"] = _plain(ends[i].tolist())
@@ -96,7 +96,7 @@ class _Rows:
     def __init__(self, case: Case, judged: Judged, seed: int) -> None:
         problem = judged.problem
         self.case, self.judged = case, judged
-        self.draws = BlockBootstrap.of(problem, judged.blocks, judged.noise, seed)
+        self.draws = BlockBootstrap.of(problem, judged.search.blocks, judged.scale.noise, seed)
         self.driven = [c for c, name in enumerate(problem.channels) if name in case.driven]
         self.given = self.draws.squares(judged.scale.uncalibrated.difference)
         self.recalibrated = self._squares(judged.base)
@@ -115,14 +115,14 @@ class _Rows:
         row = _plain(
             {
                 "kind": self.case.kind,
-                "reference": judged.reference is not None,
-                "level_on_reference": judged.reference,
+                "reference": judged.scale.reference is not None,
+                "level_on_reference": judged.scale.reference,
                 "drives": int(sum(judged.problem.data.active)),
-                "temper": judged.temper,
+                "temper": judged.scale.temper,
                 "library": len(set(library(self.case.twin, self.case.excited)) - set(DECOYS)),
                 "channels": {
                     name: {
-                        "noise": judged.noise[name],
+                        "noise": judged.scale.noise[name],
                         "motion": motion[c],
                         "gap": gap.channels[name],
                         "driven": c in self.driven,
@@ -148,7 +148,7 @@ class _Rows:
             "level_fitted": self._level(one.remaining, True),
             "mean_squares": {names[c]: v for (c, with_gap), v in found.level.items() if with_gap},
             "channels": self._channels(self._squares(one)),
-            **(clock_offsets(judged.problem, found, judged.temper) if self.case.excited else {}),
+            **(clock_offsets(judged.problem, found, judged.scale.temper) if self.case.excited else {}),
             "vehicle": _vehicle(judged.problem, one),
         }
         if is_base:
@@ -179,7 +179,7 @@ class _Rows:
     def _level(self, remaining: RemainingResidual, with_nuisances: bool) -> float:
         """Residual on the drives with the gap as a share of the motion."""
         return relative_residual(
-            self.judged.problem, remaining, self.judged.noise, self.case.driven, True, with_nuisances
+            self.judged.problem, remaining, self.judged.scale.noise, self.case.driven, True, with_nuisances
         )
 
     def _channels(self, squares: list[Floats]) -> Json:
@@ -223,12 +223,12 @@ class _Rows:
                 "bound": bool(two_sided and not low[i] + 1e-9 < u[i] < high[i] - 1e-9),
                 **({"held": held[key]} if key in held else {}),
             }
-        usual = usual_ratio(problem, hypothesis, parameters, self.judged.reference is not None)
+        usual = usual_ratio(problem, hypothesis, parameters, self.judged.scale.reference is not None)
         return {"parameters": parameters, "usual": usual}
 
     def _pattern(self, remaining: RemainingResidual) -> Json:
         """Patterns that model discrepancy does not have: a band, a tone, a place."""
-        problem, noise = self.judged.problem, self.judged.noise
+        problem, noise = self.judged.problem, self.judged.scale.noise
         tone = strongest_tone(problem, remaining)
         place = concentrated_section(problem, remaining, noise)
         return {

@@ -114,26 +114,6 @@ class Judged:
     singles: tuple[Candidate, ...] = ()
     sets: tuple[Candidate, ...] = ()
 
-    @property
-    def blocks(self) -> Blocks:
-        """Blocks of the cross-validation."""
-        return self.search.blocks
-
-    @property
-    def noise(self) -> dict[str, float]:
-        """Noise rms by channel."""
-        return self.scale.noise
-
-    @property
-    def reference(self) -> float | None:
-        """Residual on reference drives as a share of the motion; None without."""
-        return self.scale.reference
-
-    @property
-    def temper(self) -> float:
-        """Share of the remaining residual that is noise."""
-        return self.scale.temper
-
 
 def judge(
     request: DiagnosisRequest,
@@ -198,9 +178,11 @@ def tempered_gain(judged: Judged, found: Evidence, base: Evidence | None = None)
     # a held-out gain of more than twice the gain in the fit is chance
     held = min(float(found.score.sum() - base.score.sum()), 2.0 * max(found.fitted - base.fitted, 0.0))
     if found.penalty is None or base.penalty is None:
-        return judged.temper * held
-    (spent, free), (spent_before, free_before) = (p.at(judged.temper) for p in (found.penalty, base.penalty))
-    return judged.temper * held + spent_before - spent - 0.5 * max(free - free_before, 0.0)
+        return judged.scale.temper * held
+    (spent, free), (spent_before, free_before) = (
+        p.at(judged.scale.temper) for p in (found.penalty, base.penalty)
+    )
+    return judged.scale.temper * held + spent_before - spent - 0.5 * max(free - free_before, 0.0)
 
 
 def _since(
@@ -230,7 +212,7 @@ def _since(
 
 def candidate(judged: Judged, found: Evidence) -> Candidate:
     """A hypothesis with its remaining residual."""
-    remaining = remaining_residual(judged.problem, found.fit.hypothesis, found.unknowns, judged.blocks)
+    remaining = remaining_residual(judged.problem, found.fit.hypothesis, found.unknowns, judged.search.blocks)
     return Candidate(found, remaining)
 
 
@@ -247,7 +229,7 @@ def _grown(
     gains = np.array([tempered_gain(judged, c.found) for c in known])
     weak = [c.effects[0] for c in known if c.powers is not None and not detectable(c.powers)]
     gains[[c.effects[0] in weak for c in known]] = -np.inf
-    expected = USUAL_SHARE if judged.reference is None else judged.reference
+    expected = USUAL_SHARE if judged.scale.reference is None else judged.scale.reference
     found: dict[tuple[str, ...], Candidate] = {}
     for i in np.argsort(-gains, kind="stable")[:_LEADS]:
         if gains[i] < max(LEAST_GAIN, _LEAD_SHARE * float(gains.max())):
@@ -283,7 +265,7 @@ def detectable(powers: Floats) -> bool:
 
 def _level(case: Case, judged: Judged, one: Candidate) -> float:
     return relative_residual(
-        judged.problem, one.remaining, judged.noise, case.driven, True, judged.reference is None
+        judged.problem, one.remaining, judged.scale.noise, case.driven, True, judged.scale.reference is None
     )
 
 
@@ -294,7 +276,7 @@ def _shrunk(request: DiagnosisRequest, case: Case, judged: Judged) -> list[Candi
     The few effects mask each other (a clock drift resembles a clock offset; a tilt shows only with the right clock),
     so that sets grown from one effect would start from a wrong one.
     """
-    problem, blocks = judged.problem, judged.blocks
+    problem, blocks = judged.problem, judged.search.blocks
     known = library(case.twin, False, request.effects, len(case.drives))
     possible = [c.effects[0] for c in judged.singles if c.powers is not None and detectable(c.powers)]
     if not possible:

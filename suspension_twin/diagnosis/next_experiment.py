@@ -21,7 +21,7 @@ from suspension_twin.inference.fit import twin_of
 from suspension_twin.inference.gap import CHANNELS
 from suspension_twin.inference.noise import USUAL_SHARE
 from suspension_twin.inference.nuisance import OF_A_DRIVE
-from suspension_twin.inference.observation import VERTICAL, Grid, Observation, Usage
+from suspension_twin.inference.observation import VERTICAL, Observation, Usage
 from suspension_twin.inference.synthetic import SensorErrors, path_along
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.parameters import pack
@@ -106,24 +106,21 @@ def planned_drive(twin: Twin, road: Road, kmh: float, name: str = "") -> Observa
     speed = np.interp(grid, t, path.speed)
     passed = np.sqrt(min(1.0, 2.0 * spec.cutoff / conditioner.rate))
     noise = {c: passed * (_SENSOR.force if c.endswith("acceleration") else _SENSOR.rate) for c in CHANNELS}
-    grid_path = Grid(
-        grid,
-        conditioner.rate,
-        spec.cutoff,
-        conditioner.apply,
-        np.interp(grid, t, road.xy_to_uv(path.x, path.y)[0]),
-        speed,
-        np.asarray(conditioner.valid & (speed > TrimSettings().slowest)),
-        _SENSOR.position,
-    )
     block = np.zeros(grid.size, dtype=np.intp)  # nothing is held out of a plan
     return Observation(
-        name or f"{kmh:g} km/h",
-        grid_path,
-        driven,
-        {c: signals[:, i] for i, c in enumerate(CHANNELS)},
-        noise,
-        Usage(CHANNELS, VERTICAL, OF_A_DRIVE, block, fused=True),
+        t=grid,
+        rate=conditioner.rate,
+        bandwidth=spec.cutoff,
+        apply=conditioner.apply,
+        position=np.interp(grid, t, road.xy_to_uv(path.x, path.y)[0]),
+        along=speed,
+        mask=np.asarray(conditioner.valid & (speed > TrimSettings().slowest)),
+        position_sigma=_SENSOR.position,
+        name=name or f"{kmh:g} km/h",
+        excitation=driven,
+        measured={c: signals[:, i] for i, c in enumerate(CHANNELS)},
+        noise_rms=noise,
+        usage=Usage(CHANNELS, VERTICAL, OF_A_DRIVE, block, fused=True),
     )
 
 
@@ -194,7 +191,9 @@ def next_experiment(case: Case, tied: Sequence[Candidate], answer: str, judged: 
     tap = "mount_resonance" in effects
     tail = " A tap on the phone holder at standstill excites the mount resonance alone." if tap else ""
     first, second = (twin_of(judged.problem, c.found.fit) for c in tied[:2])
-    found = separating_drive(first, second, judged.noise, max(judged.reference or USUAL_SHARE, 0.05))
+    found = separating_drive(
+        first, second, judged.scale.noise, max(judged.scale.reference or USUAL_SHARE, 0.05)
+    )
     if found is None:
         return f"No manoeuvre of the menu can be simulated to separate {pair}.{tail}"
     nats, name = found

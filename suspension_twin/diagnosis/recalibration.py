@@ -17,6 +17,7 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.labels import parameter_label, parameter_unit
 from suspension_twin.calibration.uncertainty import INTERVAL
+from suspension_twin.diagnosis.answer import rounded
 from suspension_twin.diagnosis.judge import Judged
 from suspension_twin.diagnosis.shrink import gap_rows
 from suspension_twin.errors import InputError
@@ -24,7 +25,7 @@ from suspension_twin.files import Json
 from suspension_twin.inference.cross_validation import covariance_of
 from suspension_twin.inference.fit import linearised_fit, twin_of
 from suspension_twin.inference.hypothesis import BASELINE
-from suspension_twin.inference.posterior import DRAWS, Travel, span_of, travel
+from suspension_twin.inference.posterior import DRAWS, Travel, drawn_curve, forces_at, span_of, travel
 from suspension_twin.inference.space import Curve, Space
 from suspension_twin.models.parameters import twin_value
 from suspension_twin.vehicle.twin import Twin
@@ -92,7 +93,7 @@ def recalibrated(judged: Judged, given: Twin, seed: int) -> list[Json]:
     except InputError:  # the fit has points that the given file has not
         return []
     at = linearised_fit(problem.having(BASELINE), fit.x)
-    covariance = covariance_of(problem, at, judged.blocks, judged.temper)[:d, :d]
+    covariance = covariance_of(problem, at, judged.search.blocks, judged.scale.temper)[:d, :d]
     # not wider than the prior, which the division by the temper may exceed where the drives say nothing
     prior = np.diag(np.linalg.inv(problem.having(BASELINE).joint_prior()[0]))[:d]
     narrower = np.minimum(np.sqrt(prior / np.diag(covariance)), 1.0)
@@ -112,22 +113,18 @@ def recalibrated(judged: Judged, given: Twin, seed: int) -> list[Json]:
         {
             "characteristic": one.name,
             "keys": sorted({re.sub(r"(\.force)\.\d+$", r"\1", space.keys[r]) for r in one.rows}),
-            "before": _digits(one.before),
-            "after": _digits(one.after),
+            "before": rounded(one.before),
+            "after": rounded(one.after),
             "unit": one.unit,
-            "change": _digits(one.change),
-            "interval": [_digits(end) for end in one.interval],
+            "change": rounded(one.change),
+            "interval": [rounded(end) for end in one.interval],
             "relative": one.relative,
-            "share": _digits(share),
+            "share": rounded(share),
             "stated": bool(np.all(sigma[list(one.rows)] > 0.0)),
         }
         for one, share in zip(moved, shares, strict=True)
     ]
     return sorted(found, key=lambda one: -one["share"])
-
-
-def _digits(value: float) -> float:
-    return float(f"{value:.6g}")
 
 
 #: Twins and draws of their values (d, N), before and after.
@@ -173,36 +170,18 @@ def _alike(one: _Change, other: _Change) -> bool:
     return one.moved and other.moved and one.change * other.change > 0.0
 
 
-def _curve_draws(curve: Curve, twin: Twin, draws: Floats) -> tuple[Floats, Floats]:
-    """Abscissa (k,) and forces (k, N) of a characteristic of ``twin`` with its free points drawn."""
-    x, force = twin_value(twin, curve.key).points
-    forces = np.repeat(force[:, None], draws.shape[1], axis=1)
-    for i, row in enumerate(curve.rows):
-        if row >= 0:
-            forces[i] = draws[row]
-    return x, forces
-
-
-def _at(x: Floats, force: Floats, place: float) -> Floats:
-    """(N,) forces of curves (k, N) through the origin at one place; beyond the ends with their slope."""
-    edges, values = np.append(0.0, x), np.vstack([np.zeros((1, force.shape[1])), force])
-    i = int(np.clip(np.searchsorted(edges, place, side="right") - 1, 0, x.size - 1))
-    share = (place - edges[i]) / (edges[i + 1] - edges[i])
-    return np.asarray(values[i] + share * (values[i + 1] - values[i]))
-
-
 def _of_spring(
     curve: Curve, twins: _Twins, where: Travel, span: tuple[float, float], draws: _Draws
 ) -> _Change:
     """The mean rate of a spring over the excited travel about the standing car, where each curve bears the load."""
-    (_, earlier), (x, forces) = (_curve_draws(curve, t, d) for t, d in zip(twins, draws, strict=True))
+    (_, earlier), (x, forces) = (drawn_curve(curve, t, d) for t, d in zip(twins, draws, strict=True))
     static = where.static[curve.axle]
     middle = twin_value(twins[1], curve.key).points[1][:, None]
-    load = float(_at(x, middle, static)[0])
+    load = float(forces_at(static, x, middle)[0])
 
     def rate(x: Floats, force: Floats, standing: float) -> Floats:
         low, high = (standing + end - static for end in span)
-        return np.asarray((_at(x, force, high) - _at(x, force, low)) / (high - low))
+        return np.asarray((forces_at(high, x, force) - forces_at(low, x, force)) / (high - low))
 
     x0, force0 = twin_value(twins[0], curve.key).points
     standing = float(np.interp(load, np.append(0.0, force0), np.append(0.0, x0)))
@@ -218,12 +197,12 @@ def _of_damper(curve: Curve, twins: _Twins, reached: float, draws: _Draws) -> _C
     places = np.linspace(0.0, reached, 9)[1:]
 
     def force(x: Floats, values: Floats) -> Floats:
-        return np.asarray(np.mean([_at(x, values, place) for place in places], axis=0))
+        return np.asarray(np.mean(forces_at(places, x, values), axis=0))
 
     before, after = (
         float(force(x, values[:, None])[0]) for x, values in (twin_value(t, curve.key).points for t in twins)
     )
-    (x0, earlier), (x, forces) = (_curve_draws(curve, t, d) for t, d in zip(twins, draws, strict=True))
+    (x0, earlier), (x, forces) = (drawn_curve(curve, t, d) for t, d in zip(twins, draws, strict=True))
     way = curve.part.removeprefix("damper_")
     own = tuple(r for r in curve.rows if r >= 0)
     return _Change(

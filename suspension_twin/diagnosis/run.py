@@ -81,7 +81,7 @@ def diagnose(
     stop = should_stop or (lambda: False)
     with one_blas_thread():
         case, judged = _judged(request, report, stop)
-        level = judged.reference
+        level = judged.scale.reference
         if level is not None and level >= _OTHER_VEHICLE and not case.excited:
             # a receiver's noise may be as large as the motion; what is new since the reference shows all the same
             case = replace(case, warnings=(*case.warnings, f"{_references(case)}: {_missed(level)}"))

@@ -58,7 +58,7 @@ class Shrink:
 def uncalibrated_residual(problem: Problem) -> RemainingResidual:
     """The residual of the twin as given; nothing was fitted, so that all of it is held out."""
     x = np.concatenate([problem.space.z0, np.zeros(problem.q)])
-    plain = problem.compared(x[:, None])[:, :, 0]
+    plain = problem.readings(x)
     difference = plain - problem.measured.values
     return RemainingResidual(difference, difference)
 

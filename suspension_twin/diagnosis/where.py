@@ -33,6 +33,7 @@ from suspension_twin.diagnosis.shrink import DRAWS, RemainingResidual, drives_of
 from suspension_twin.files import Json
 from suspension_twin.inference.excited_segments import TrimSettings
 from suspension_twin.inference.fit import DEEP, refit
+from suspension_twin.inference.gap import main_channel
 from suspension_twin.inference.hypothesis import Hypothesis
 from suspension_twin.inference.noise import SEGMENT, density, shares
 from suspension_twin.inference.parallel import side_by_side
@@ -90,11 +91,6 @@ def _motion(problem: Problem, twin: Twin) -> tuple[Floats, Floats]:
     return np.concatenate(travel), np.concatenate(velocity)
 
 
-def _main_channel(names: Sequence[str]) -> int:
-    """Column of the vertical acceleration, else the first."""
-    return names.index("vertical_acceleration") if "vertical_acceleration" in names else 0
-
-
 # -- where -------------------------------------------------------------------------------------------
 
 
@@ -104,7 +100,7 @@ def localise(problem: Problem, difference: Floats, noise: dict[str, float], twin
     ``noise`` is its rms by channel; ``twin`` is simulated for the motion of the suspension.
     """
     names = problem.channels
-    main = _main_channel(names)
+    main = names.index(main_channel(names))
     floor = noise[names[main]]
     series = [difference[place, main] for *_, place in _with_gap(problem)]
     excess = [np.maximum(x**2 - floor**2, 0.0) for x in series]
@@ -384,7 +380,7 @@ def signature(problem: Problem, difference: Floats, twin: Twin) -> Json:
     """Features of an unexplained gap (M, C): its band, the regressor of travel and velocity with the highest
     correlation, its hysteresis, and the velocity and travel from which on it appears."""
     names = problem.channels
-    column = _main_channel(names)
+    column = names.index(main_channel(names))
     series = [difference[place, column] for *_, place in _with_gap(problem)]
     f, segments = _periodograms(series, problem.measured.rate)
     power = segments.mean(axis=0)

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import fnmatch
 import math
-from collections.abc import Mapping as MappingOf
-from collections.abc import Sequence
+from collections.abc import Mapping as MappingOf, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Final, Literal

@@ -20,10 +20,8 @@ from typing import Final
 from urllib.parse import quote
 
 from rosbags.interfaces import ConnectionExtRosbag2, MessageDefinitionFormat
-from rosbags.rosbag1 import Reader as Ros1Reader
-from rosbags.rosbag1 import reader as rosbag1
-from rosbags.rosbag2 import Reader as Ros2Reader
-from rosbags.rosbag2 import storage_mcap
+from rosbags.rosbag1 import Reader as Ros1Reader, reader as rosbag1
+from rosbags.rosbag2 import Reader as Ros2Reader, storage_mcap
 
 from suspension_twin.drive.contents import Contents, RawTopic, topic_name
 from suspension_twin.drive.salvage import (

@@ -86,16 +86,11 @@ class Checkpoint:
             "plain": state.plain,
         }
         with replacing(self._file(name)) as part, part.open("wb") as stream:
-            np.savez(stream, **{**state.arrays, _INDEX: np.array(json.dumps(index, default=_plain))})  # type: ignore[arg-type]
+            np.savez(stream, **{**state.arrays, _INDEX: np.array(json.dumps(index))})  # type: ignore[arg-type]
 
     def remove(self) -> None:
         """Forget all states: the work is done and its result written."""
         shutil.rmtree(self.folder, ignore_errors=True)
-
-
-def _plain(value: np.generic) -> object:
-    """A NumPy scalar as the number that it is; floats keep all their bits."""
-    return value.item()
 
 
 Item = TypeVar("Item")

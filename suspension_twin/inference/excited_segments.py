@@ -32,19 +32,20 @@ class TrimSettings:
     slowest: float = 0.8
 
 
-def excited(observation: Observation, settings: TrimSettings | None = None) -> NDArray[np.bool_]:
+def excited(observation: Observation, settings: TrimSettings) -> NDArray[np.bool_]:
     """(m,) True on the grid samples of a drive where the road excites the moving vehicle."""
-    s = settings or TrimSettings()
     rate = observation.rate
     vertical = observation.measured["vertical_acceleration"]
     floor = max(observation.noise_rms["vertical_acceleration"], 1e-3)
-    window = max(3, int(s.window * rate))
+    window = max(3, int(settings.window * rate))
     # the mean of two seconds is road grade and bias, not excitation
     wave = vertical - uniform_filter1d(vertical, max(3, int(2.0 * rate)), mode="nearest")
     rms = np.sqrt(np.maximum(uniform_filter1d(wave**2, window, mode="nearest"), 0.0))
-    moving = (np.abs(observation.speed) > s.slowest) & observation.mask
-    active = (rms > s.threshold * floor) & moving
-    return np.asarray(_widened(active, int(s.before * rate), int(s.after * rate)) & observation.mask)
+    moving = (np.abs(observation.speed) > settings.slowest) & observation.mask
+    active = (rms > settings.threshold * floor) & moving
+    return np.asarray(
+        _widened(active, int(settings.before * rate), int(settings.after * rate)) & observation.mask
+    )
 
 
 def _widened(active: NDArray[np.bool_], before: int, after: int) -> NDArray[np.bool_]:
@@ -55,19 +56,19 @@ def _widened(active: NDArray[np.bool_], before: int, after: int) -> NDArray[np.b
     return np.asarray(count[last] > count[np.maximum(i - after, 0)])
 
 
-def trim(observation: Observation, settings: TrimSettings | None = None) -> list[Observation]:
+def trim(observation: Observation, settings: TrimSettings) -> list[Observation]:
     """The drive cut to its excited segments, each with its lead; the whole drive if one segment covers 90 % of it."""
-    s = settings or TrimSettings()
-    active = excited(observation, s)
+    active = excited(observation, settings)
     rows = np.flatnonzero(active)
     if not rows.size:
         return []
     t = observation.t
-    starts = [rows[0], *rows[1:][np.diff(rows) > s.bridge * observation.rate]]
-    ends = [*rows[:-1][np.diff(rows) > s.bridge * observation.rate], rows[-1]]
+    starts = [rows[0], *rows[1:][np.diff(rows) > settings.bridge * observation.rate]]
+    ends = [*rows[:-1][np.diff(rows) > settings.bridge * observation.rate], rows[-1]]
     pad = 1.0  # transients of the filter
     spans: list[tuple[Floats, Floats]] = [
-        (max(t[a] - s.lead - pad, t[0]), min(t[b] + pad, t[-1])) for a, b in zip(starts, ends, strict=True)
+        (max(t[a] - settings.lead - pad, t[0]), min(t[b] + pad, t[-1]))
+        for a, b in zip(starts, ends, strict=True)
     ]
     kept = sum(float(b - a) for a, b in spans)
     if len(spans) == 1 and kept > 0.9 * (t[-1] - t[0]):
@@ -75,20 +76,19 @@ def trim(observation: Observation, settings: TrimSettings | None = None) -> list
     return [observation.part(float(a), float(b)) for a, b in spans]
 
 
-def fit_rows(part: Observation, settings: TrimSettings | None = None) -> NDArray[np.intp]:
+def fit_rows(part: Observation, settings: TrimSettings) -> NDArray[np.intp]:
     """Grid samples of a part that are compared: excited, and not within the lead; all of a controlled run."""
-    s = settings or TrimSettings()
     if part.reading is None:
         return np.flatnonzero(part.mask)
-    active = excited(part, s)
+    active = excited(part, settings)
     rows = np.flatnonzero(active)
     if rows.size:
         # from the first to the last excited sample, calm samples between included
         between = np.zeros_like(active)
         between[rows[0] : rows[-1] + 1] = True
-        active = between & part.mask & (np.abs(part.speed) > s.slowest)
-    moving_start = part.t[0] + s.lead
-    standing_before = np.abs(part.speed[0]) < s.slowest
+        active = between & part.mask & (np.abs(part.speed) > settings.slowest)
+    moving_start = part.t[0] + settings.lead
+    standing_before = np.abs(part.speed[0]) < settings.slowest
     if not standing_before:
         active &= part.t > moving_start
     return np.flatnonzero(active)

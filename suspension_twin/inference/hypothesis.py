@@ -135,7 +135,7 @@ class Hypothesis:
         return Hypothesis(
             kept,
             tuple(pair for pair in self.fixed if pair[0].split(".")[1] in kept),
-            tuple(u for i, u in enumerate(self.around) if self._owner(i) in kept),
+            tuple(u for key, u in zip(self.keys, self.around, strict=False) if key.split(".")[1] in kept),
             tuple(e for e in self.preexisting if e in kept),
             self.model,
             self.drives,
@@ -217,9 +217,6 @@ class Hypothesis:
         points[tone] = np.linspace(low[tone], high[tone], count)
         points[row] = points[row] if self.neutral()[row] != 0.0 else 1.0
         return row, np.asarray(np.clip(points, low[:, None], high[:, None]))
-
-    def _owner(self, index: int) -> str:
-        return self.keys[index].split(".")[1]
 
     def spec(self, values: Floats) -> tuple[EffectSpec, ...]:
         """The effects as a twin file has them, for values (k,)."""

@@ -76,7 +76,7 @@ class LinearCorner:
         rate, pushed = (np.fft.rfft(x, 2 * t.size) for x in (speed, force - force[0]))
         found = self.responses(w, _integrated(rate, w), pushed)
         return {
-            name: run.grid.apply(np.interp(t, even, np.fft.irfft(x, 2 * t.size)[: t.size]))
+            name: run.apply(np.interp(t, even, np.fft.irfft(x, 2 * t.size)[: t.size]))
             for name, x in found.items()
         }
 
@@ -139,7 +139,7 @@ def _integrated(rate: np.ndarray, w: Floats) -> np.ndarray:
 
 
 def _spectra(run: Observation, channels: Sequence[str], own: slice) -> _Spectra:
-    conditioned = [run.grid.apply(x)[own] for x in _inputs(run)]
+    conditioned = [run.apply(x)[own] for x in _inputs(run)]
     size, edge = own.stop - own.start, max(1, round(_TAPER * run.rate))
     ramp = np.clip(np.minimum(np.arange(size), np.arange(size)[::-1]) / edge, 0.0, 1.0)
     fade = ramp * ramp * (3.0 - 2.0 * ramp)

@@ -20,7 +20,7 @@ Effective sample size: a low-pass of cut-off f_c leaves 2 f_c / rate independent
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -174,7 +174,7 @@ class Whitener:
         return cls.with_filters(measured, group, filters, sigma)
 
     @classmethod
-    def designed(cls, measured: Measured, share: Floats, floors: Sequence[dict[str, float]]) -> Whitener:
+    def designed(cls, measured: Measured, share: Floats, floors: Sequence[Mapping[str, float]]) -> Whitener:
         """Designed for a model discrepancy of ``share`` (C, F) or (C,) of the motion and the noise rms ``floors`` of
         each drive, by channel."""
         drives, rate = sorted(set(measured.drives)), measured.rate

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from suspension_twin.arrays import Floats
+from suspension_twin.arrays import Floats, interpolated
 from suspension_twin.errors import InputError
 from suspension_twin.inference.priors import SINGLE, TABLES
 from suspension_twin.inference.sensor_reading import read_alike, read_any, read_steady
@@ -203,7 +203,8 @@ class Nuisances:
             knots = _knots(part, priors.wander_seconds) if wander[drive] > 0 else np.empty(0)
             self._knots.append(knots)
             if knots.size:
-                motions.setdefault(drive, []).append(_motion_at(part, knots))
+                course = np.where(np.interp(knots, part.t, part.along) < 0.0, np.pi, 0.0)
+                motions.setdefault(drive, []).append(np.stack([knots, course]))
             for k in range(knots.size):
                 add(f"{part.name}.wander.{number}.{k}", "wander", wander[drive])
         self.parameters = tuple(parameters)
@@ -244,8 +245,8 @@ class Nuisances:
         return values[: 0 if self.taped is None else len(self.taped.errors)]
 
     def wander_of(self, number: int, values: Floats) -> tuple[Floats, Floats]:
-        """Times (k,) s and metres (k,) by which part ``number`` lies farther ahead by ``values`` (q,); none where k is
-        0."""
+        """Times (k,) s and metres (k,) or (k, L) by which part ``number`` lies farther ahead by ``values`` (q,) or
+        (q, L); none where k is 0."""
         knots, drive = self._knots[number], self._drive_names[number]
         rows = [self._row[f"{drive}.wander.{number}.{k}"] for k in range(knots.size)]
         return knots, values[rows]
@@ -313,13 +314,11 @@ class Nuisances:
         metres = np.broadcast_to(value("map_position") + value(f"{drive}.map_position"), (rows.size, lanes))
         # the map's shift follows the road's direction, the wander the vehicle's
         sense = np.sign(along)[:, None]
-        knots = self._knots[number]
+        knots, wander = self.wander_of(number, values)
         if knots.size:
-            hats = _hats(part.t[rows], knots)
-            wander = np.stack([value(f"{drive}.wander.{number}.{k}") for k in range(knots.size)])
+            hats = interpolated(part.t[rows], knots, np.eye(knots.size))
             metres = metres + sense * np.einsum("rk,kl->rl", hats, wander, optimize=False)
-        late = value(f"{drive}.clock_offset") + value("clock_offset")
-        late = late[None, :]
+        late = (value(f"{drive}.clock_offset") + value("clock_offset"))[None, :]
         if f"{drive}.speed" in self._row:
             late = late + value(f"{drive}.speed") * (part.t[rows] - part.t[0])[:, None]
         shift = (late + metres / along[:, None]) * part.rate
@@ -418,15 +417,3 @@ def _knots(part: Observation, seconds: float) -> Floats:
     t = part.t
     count = int((t[-1] - t[0]) // seconds) + 1
     return np.linspace(t[0], t[-1], count) if count > 1 else np.array([0.5 * (t[0] + t[-1])])
-
-
-def _motion_at(part: Observation, t: Floats) -> Floats:
-    """(2, k) times in s and courses along the road in rad of a drive at ``t`` (k,)."""
-    return np.stack([t, np.where(np.interp(t, part.t, part.along) < 0.0, np.pi, 0.0)])
-
-
-def _hats(t: Floats, knots: Floats) -> Floats:
-    """(r, k) weights of linear interpolation between the knots, constant beyond them."""
-    if knots.size == 1:
-        return np.ones((t.size, 1))
-    return np.stack([np.interp(t, knots, unit) for unit in np.eye(knots.size)], axis=1)

@@ -110,16 +110,14 @@ class PlaceShift:
 class ObserveSettings:
     """How a drive is observed.
 
-    ``filter`` for both sides, zero-phase offline; ``max_step`` s of the simulation; ``quiet`` takes the IMU's noise out
-    of the planar motion that drives it; ``outside`` is the height policy beyond the road: hold, zero, error, or that of
-    the road's file; ``satellites`` takes the planar motion from the fixes alone, where the IMU itself is in question;
-    ``saturated`` compares samples at the end of the sensor's range as well, which alone show a clipped range;
-    ``placed`` moves every path that is read from the recording.
+    ``filter`` for both sides, zero-phase offline; ``max_step`` s of the simulation; ``outside`` is the height policy
+    beyond the road: hold, zero, error, or that of the road's file; ``satellites`` takes the planar motion from the
+    fixes alone, where the IMU itself is in question; ``saturated`` compares samples at the end of the sensor's range as
+    well, which alone show a clipped range; ``placed`` moves every path that is read from the recording.
     """
 
     filter: FilterSpec = FilterSpec()
     max_step: float = 1e-3
-    quiet: bool = True
     outside: Outside = "road"
     satellites: bool = False
     saturated: bool = False
@@ -127,15 +125,9 @@ class ObserveSettings:
     placed: PlaceShift | None = None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Grid:
-    """The uniform grid of m samples that signals are compared on.
-
-    ``t`` (m,) s; ``rate`` Hz; ``bandwidth`` Hz, the cut-off of the low-pass that both sides pass; ``apply`` takes
-    simulated samples (n, ...) to the grid (m, ...); ``position`` (m,) m along the road and ``along`` (m,) m/s its rate;
-    ``mask`` (m,) True where a comparison is meaningful; ``position_sigma`` m, the receiver's own horizontal standard
-    deviation, 0 where it gives none.
-    """
+    """The uniform grid of m samples that signals are compared on; its numbers are those of :class:`Observation`."""
 
     t: Floats
     rate: float
@@ -228,7 +220,9 @@ def _reread(reading: Reading, correction: SensorCorrection, step: float | None) 
         return _stretch(whole, *reading.window)
     path = reading.trajectory
     if correction != SensorCorrection.of_twin(reading.twin):
-        path = replace(_motion(reading.drive, reading.twin, correction, reading.settings), t=path.t)
+        timed, twin, settings = correction.timed(reading.drive), reading.twin, reading.settings
+        signals = correction.signals(timed, twin.imu, settings.imu)
+        path = replace(_locked(timed, twin, signals, settings, correction.upright), t=path.t)
     return _excited(path, reading, correction.clock)
 
 
@@ -252,16 +246,30 @@ def _stretch(whole: Excitation, first: int, last: int) -> Excitation:
     return replace(whole, t=t, substeps=substeps, first=rows, road=road, motion=motion, path=path)
 
 
-@dataclass(frozen=True, eq=False)
-class Observation:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Observation(Grid):
     """A drive or run of m samples on a uniform grid, with n simulated stamps.
 
     Parameters
     ----------
+    t : (m,) array
+        s, the grid of every conditioned signal.
+    rate : float
+        Samples per second of the grid.
+    bandwidth : float
+        Cut-off in Hz of the low-pass that both sides go through.
+    apply : callable
+        Takes simulated samples (n, ...) to the grid (m, ...).
+    position : (m,) array
+        m along the road, or along the path without a road.
+    along : (m,) array
+        m/s, the rate of the position.
+    mask : (m,) array
+        True where a comparison is meaningful.
+    position_sigma : float
+        The receiver's own horizontal standard deviation in m, 0 where it gives none.
     name : str
         Of the drive or run.
-    grid : Grid
-        Samples that are compared, and the path of simulated signals to them.
     excitation : Excitation or ObstacleRun
         Drives the model, on n stamps.
     measured : dict of str to (m,) array
@@ -288,48 +296,12 @@ class Observation:
     """
 
     name: str
-    grid: Grid
     excitation: Excitation | ObstacleRun
     measured: Mapping[str, Floats]
     noise_rms: Mapping[str, float]
     usage: Usage
     reading: Reading | None = None
     warnings: tuple[str, ...] = ()
-
-    @property
-    def t(self) -> Floats:
-        """(m,) s, the grid of every conditioned signal."""
-        return self.grid.t
-
-    @property
-    def rate(self) -> float:
-        """Samples per second of the grid."""
-        return self.grid.rate
-
-    @property
-    def bandwidth(self) -> float:
-        """Cut-off in Hz of the low-pass that both sides go through."""
-        return self.grid.bandwidth
-
-    @property
-    def position(self) -> Floats:
-        """(m,) m along the road, or along the path without a road."""
-        return self.grid.position
-
-    @property
-    def along(self) -> Floats:
-        """(m,) m/s, the rate of the position."""
-        return self.grid.along
-
-    @property
-    def mask(self) -> NDArray[np.bool_]:
-        """(m,) True where a comparison is meaningful."""
-        return self.grid.mask
-
-    @property
-    def position_sigma(self) -> float:
-        """The receiver's own horizontal standard deviation in m, 0 where it gives none."""
-        return self.grid.position_sigma
 
     @property
     def road_excitation(self) -> Excitation:
@@ -401,7 +373,7 @@ class Observation:
         """
         stacked = np.stack([_channel(response, name) for name in CHANNELS], axis=1)
         stacked[:, CHANNELS.index("vertical_acceleration")] -= self.standing_vertical(response)
-        filtered = self.grid.apply(stacked)
+        filtered = self.apply(stacked)
         return {name: filtered[:, i] for i, name in enumerate(CHANNELS)}
 
     def standing_vertical(self, response: Response) -> float:
@@ -415,7 +387,7 @@ class Observation:
         if self.reading is not None:
             return self.condition(simulate_twin(twin, self.road_excitation))
         response = simulate_lanes(twin, pack(twin)[:, None], self.excitation)
-        filtered = self.grid.apply(response.stacked(tuple(self.measured))[:, :, 0])
+        filtered = self.apply(response.stacked(tuple(self.measured))[:, :, 0])
         return {name: filtered[:, i] for i, name in enumerate(self.measured)}
 
     @cached_property
@@ -545,7 +517,7 @@ def observe(
         direction = float(ahead[0]), float(ahead[1]), float(ahead[2])
         signals, trajectory = satellite_motion(drive, signals, twin.gps, datum, direction)
     elif not len(drive.fix):
-        trajectory = _felt(timed, twin, mounted, road, settings)
+        trajectory = _felt(timed, twin, mounted, road)
     else:
         try:
             trajectory = replace(_locked(timed, twin, mounted, settings, correction.upright), t=signals.t)
@@ -565,7 +537,7 @@ def observe(
     )
     # a place that was felt is that of one axle or of the other
     sigma = _position_sigma(drive) if len(drive.fix) else float(np.ptp(twin.vehicle.wheel_positions[:, 0]))
-    return replace(found, warnings=tuple(said), grid=replace(found.grid, position_sigma=sigma))
+    return replace(found, warnings=tuple(said), position_sigma=sigma)
 
 
 def with_shown_errors(observation: Observation) -> Observation:
@@ -658,31 +630,23 @@ def _pieces(value: object) -> Iterator[bytes]:
         yield repr(value).encode()
 
 
-def _motion(drive: Drive, twin: Twin, correction: SensorCorrection, settings: ObserveSettings) -> Trajectory:
-    """The locked and denoised path of a drive that is read with a correction of its sensor."""
-    timed = correction.timed(drive)
-    return _locked(
-        timed, twin, correction.signals(timed, twin.imu, settings.imu), settings, correction.upright
-    )
-
-
 def _locked(
     timed: Drive, twin: Twin, signals: ImuSignals, settings: ObserveSettings, upright: bool
 ) -> Trajectory:
+    """The locked and denoised path of a drive."""
     datum = twin.datum or first_fix(timed)
     trajectory = locked_trajectory(timed, signals, twin.gps, datum, signals.t, upright=upright)
-    found = denoised_motion(trajectory, signals, twin.cog_height) if settings.quiet else trajectory
+    found = denoised_motion(trajectory, signals, twin.cog_height)
     return found if settings.placed is None else settings.placed.of(found)
 
 
-def _felt(timed: Drive, twin: Twin, signals: ImuSignals, road: Road, settings: ObserveSettings) -> Trajectory:
+def _felt(timed: Drive, twin: Twin, signals: ImuSignals, road: Road) -> Trajectory:
     """The path of a drive without positions, as its sensors felt the road."""
     from suspension_twin.inference.felt_passes import (
         felt_trajectory,  # splines, which a live twin does without
     )
 
-    trajectory = felt_trajectory(timed, twin, signals, road)
-    return denoised_motion(trajectory, signals, twin.cog_height) if settings.quiet else trajectory
+    return denoised_motion(felt_trajectory(timed, twin, signals, road), signals, twin.cog_height)
 
 
 def origin_of(twin: Twin, drive: Drive) -> Datum:
@@ -746,23 +710,21 @@ def _observed(source: Reading, known: Observation | None = None) -> Observation:
         block = np.floor(position / _METRES).astype(np.intp)
         usage = Usage(CHANNELS, VERTICAL, OF_A_DRIVE, block, fused=True, gravity=signals.gravity)
     return Observation(
-        known.name if known else source.drive.name,
-        Grid(
-            grid,
-            conditioner.rate,
-            settings.filter.cutoff,
-            conditioner.apply,
-            position,
-            np.gradient(position, grid),
-            np.asarray(mask),
-            known.position_sigma if known else 0.0,
-        ),
-        _excited(path, source, clock),
-        {channel: filtered[:, i] for i, channel in enumerate(CHANNELS)},
-        floors,
-        usage,
-        source,
-        known.warnings if known else (),
+        t=grid,
+        rate=conditioner.rate,
+        bandwidth=settings.filter.cutoff,
+        apply=conditioner.apply,
+        position=position,
+        along=np.gradient(position, grid),
+        mask=np.asarray(mask),
+        position_sigma=known.position_sigma if known else 0.0,
+        name=known.name if known else source.drive.name,
+        excitation=_excited(path, source, clock),
+        measured={channel: filtered[:, i] for i, channel in enumerate(CHANNELS)},
+        noise_rms=floors,
+        usage=usage,
+        reading=source,
+        warnings=known.warnings if known else (),
     )
 
 

@@ -33,25 +33,24 @@ from suspension_twin.inference.excited_segments import TrimSettings, fit_rows, t
 from suspension_twin.inference.nuisance import course_covariance
 from suspension_twin.inference.observation import VERTICAL, Observation, PlaceShift, observe, origin_of
 from suspension_twin.inference.priors import SINGLE
+from suspension_twin.inference.problem import REACH
 from suspension_twin.models.excitation import coarser
 from suspension_twin.models.parameters import lanes
 from suspension_twin.models.simulate import simulate_lanes
 from suspension_twin.pose.imu_gnss_consistency import consistency
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["Placement", "in_reach", "is_open", "on_one_clock", "place"]
+__all__ = ["SAME_ROAD", "Placement", "in_reach", "is_open", "on_one_clock", "place"]
 
-#: Standard deviations of a receiver's error that are looked through, as for every nuisance parameter.
-_REACH = 3.0
 #: m that wheel paths differ by at least for the lateral place to matter: a tape measure's millimetre.
 _LEVEL_ACROSS = 1e-3
 #: m between places side by side: the width of a tyre.
 _ACROSS = 0.2
 #: s of a step while places are looked for (numerics: a 40th of the period of wheel hop).
 _STEP = 2e-3
-#: Correlation of felt and expected pattern below which it is no pass of this road: a wrong road reaches 0.3
-#: (``calibration.checks``).
-_ALIKE = 0.5
+#: Correlation of measured and simulated motion below which the road is taken for another: a seven-degree model on the
+#: right road reaches 0.9 and more, on a wrong one 0.3.
+SAME_ROAD = 0.5
 #: Places that are simulated once more, the most probable ones, to see how far they differ (numerics: four blocks).
 _PROBABLE = 64
 _ALONG, _LEFT = "position_offset", "lateral_offset"
@@ -107,7 +106,7 @@ def is_open(drive: Observation) -> bool:
     speed = np.abs(drive.speed)
     moving = speed[speed > TrimSettings().slowest]
     wave = _shortest_wave(drive, float(np.median(moving))) if moving.size else np.inf
-    return bool(_REACH * drive.position_sigma > 0.5 * wave)
+    return bool(REACH * drive.position_sigma > 0.5 * wave)
 
 
 def on_the_lane(drive: Observation) -> Observation:
@@ -117,7 +116,7 @@ def on_the_lane(drive: Observation) -> Observation:
     u, v = road.xy_to_uv(path.x, path.y)
     inside = middle + np.clip(v - middle, -room, room)
     beside = np.abs(v - inside)
-    off = (beside > 0.0) & (beside < _REACH * drive.position_sigma) & (u > road.u_first) & (u < road.u_last)
+    off = (beside > 0.0) & (beside < REACH * drive.position_sigma) & (u > road.u_first) & (u < road.u_last)
     x, y = road.uv_to_xy(u, inside)
     moved = replace(path, x=np.where(off, x, path.x), y=np.where(off, y, path.y))
     return replace(drive, reading=replace(source, trajectory=moved)).displaced(path.t[:1], np.zeros(1))
@@ -206,10 +205,10 @@ def _passes(drive: Observation) -> list[_Pass]:
         replace(TrimSettings(), bridge=TrimSettings().window),
     )
     # where the road ends is not known yet
-    everywhere = replace(drive, grid=replace(drive.grid, mask=np.ones_like(drive.mask)))
+    everywhere = replace(drive, mask=np.ones_like(drive.mask))
     found = []
     for segment in trim(everywhere, settings):
-        wide = replace(segment, grid=replace(segment.grid, mask=np.ones_like(segment.mask)))
+        wide = replace(segment, mask=np.ones_like(segment.mask))
         rows = fit_rows(wide, settings)
         if rows.size < 0.5 * drive.rate:
             continue
@@ -247,7 +246,7 @@ class _Expectation:
         keys = tuple(f"effects.{name}.offset" for name in (_ALONG, _LEFT))
         candidates = lanes(self.twin, keys, np.column_stack([ahead, left]))
         response = simulate_lanes(self.twin, candidates, coarser(one.part.road_excitation, _STEP))
-        expected = one.part.grid.apply(response.stacked(self.channels))[one.rows]
+        expected = one.part.apply(response.stacked(self.channels))[one.rows]
         return np.asarray(expected / self.unit[:, None])
 
 
@@ -277,12 +276,12 @@ class _Bank:
         """Simulate the twin at every place."""
         sigma = drive.position_sigma
         speeds = np.array([p.motion[2] for p in passes])
-        reach = _REACH * np.hypot(sigma, SINGLE["receiver_lateness"] * float(speeds.max()))
+        reach = REACH * np.hypot(sigma, SINGLE["receiver_lateness"] * float(speeds.max()))
         step = 0.5 * _shortest_wave(drive, float(np.median(speeds)))
         count = int(np.ceil(reach / step))
         ahead: Floats = step * np.arange(-count, count + 1, dtype=np.float64)
         shaped = float(np.ptp(drive.road.z, axis=1).max()) > _LEVEL_ACROSS
-        beside = int(np.ceil(min(_REACH * sigma, 2.0 * _room(drive)) / _ACROSS)) if shaped else 0
+        beside = int(np.ceil(min(REACH * sigma, 2.0 * _room(drive)) / _ACROSS)) if shaped else 0
         left: Floats = _ACROSS * np.arange(-beside, beside + 1, dtype=np.float64)
         channels = VERTICAL if shaped else ("vertical_acceleration", "pitch_rate")
         expectation = _Expectation.of(twin, channels, passes)
@@ -314,7 +313,7 @@ class _Bank:
         for one, likely, alike in zip(self.passes, marginals, self.correlation, strict=True):
             along, across = np.unravel_index(int(np.argmax(likely)), likely.shape)
             doubt = self._doubt(one, likely, (float(self.ahead[along]), float(self.left[across])))
-            if doubt > size * one.rows.size or alike[along, across] < _ALIKE:
+            if doubt > size * one.rows.size or alike[along, across] < SAME_ROAD:
                 spans.append(one.span)
             else:
                 places.append((one.motion[0], float(self.ahead[along]), float(self.left[across])))

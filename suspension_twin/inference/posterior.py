@@ -20,10 +20,11 @@ from suspension_twin.inference.noise import Whitener
 from suspension_twin.inference.problem import CORRELATION, Noise, Problem
 from suspension_twin.inference.space import Curve
 from suspension_twin.inference.spring_position import Slide, changes, slides
+from suspension_twin.models.parameters import twin_value
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["DRAWS", "Posterior", "Travel", "posterior", "span_of", "travel"]
+__all__ = ["DRAWS", "Posterior", "Travel", "drawn_curve", "forces_at", "posterior", "span_of", "travel"]
 
 #: Draws of a posterior: the ends of a 90 % interval to 3 % of a standard deviation.
 DRAWS = 4000
@@ -90,6 +91,30 @@ def span_of(curve: Curve, where: Travel) -> tuple[float, float]:
     ordered = np.sort(values)
     low = float(ordered[beyond - 1]) if curve.part == "spring" else 0.0
     return low, float(ordered[-beyond])
+
+
+def drawn_curve(curve: Curve, twin: Twin, draws: Floats) -> tuple[Floats, Floats]:
+    """Abscissa (k,) and forces (k, N) of a characteristic of ``twin`` with its free points as in ``draws`` (d, N)."""
+    x, force = twin_value(twin, curve.key).points
+    forces = np.repeat(force[:, None], draws.shape[1], axis=1)
+    for i, row in enumerate(curve.rows):
+        if row >= 0:
+            forces[i] = draws[row]
+    return x, forces
+
+
+def forces_at(at: Floats | float, x: Floats, force: Floats) -> Floats:
+    """Forces of N curves (k, N) through (0, 0), going on with their first and last slopes.
+
+    (N,) at one abscissa; (g, N) for ``at`` (g,) for all of them, or (g, N) each its own."""
+    edges = np.concatenate([[0.0], x])
+    values = np.concatenate([np.zeros((1, force.shape[1])), force])
+    segment = np.clip(np.searchsorted(edges, at, side="right") - 1, 0, x.size - 1)
+    share = (at - edges[segment]) / (edges[segment + 1] - edges[segment])
+    if np.ndim(at) < 2:
+        return np.asarray(values[segment] + share[..., None] * (values[segment + 1] - values[segment]))
+    below, above = (np.take_along_axis(values, i, axis=0) for i in (segment, segment + 1))
+    return np.asarray(below + share * (above - below))
 
 
 def posterior(

@@ -63,8 +63,6 @@ REACH = 3.0
 STEP, _STEP_EFFECT = 1e-3, 1e-2
 #: Prior correlation of the logarithms of neighbouring slopes of a characteristic.
 CORRELATION = SINGLE["slopes"]
-#: Between the numbers of blocks of two drives that share none: more than a drive has (definition).
-_APART = 100_000
 # Simulated signals kept at once, in numbers: 25 million are 200 MB.
 _LARGEST_BATCH = 25_000_000
 
@@ -130,10 +128,10 @@ class Data:
         """(M,) the block of each compared sample, counted from 0: of road over all drives, of the distance of a run, of
         time without a road."""
         keys = [
-            part.usage.block[own] + (0 if part.usage.shared else _APART * drive)
+            np.stack([np.full(own.size, 0 if part.usage.shared else drive), part.usage.block[own]])
             for part, own, drive in zip(self.parts, self.rows, self.drive_of, strict=True)
         ]
-        return np.asarray(np.unique(np.concatenate(keys), return_inverse=True)[1], dtype=np.intp)
+        return np.unique(np.concatenate(keys, axis=1), axis=1, return_inverse=True)[1]
 
     def nuisances(
         self, priors: NuisancePriors, wander: Sequence[float] | None = None, taped: Taped | None = None
@@ -467,7 +465,7 @@ class Problem:
         return groups
 
     def _conditioned(self, part: Observation, stacked: Floats) -> Floats:
-        signals = part.grid.apply(stacked)
+        signals = part.apply(stacked)
         if self.simulation.centred and self.channels[0] == "vertical_acceleration":
             # a sensor gain also scales gravity: at standstill that is a bias
             signals[:, 0] -= signals[:, 0].mean(axis=0)
@@ -518,7 +516,7 @@ class Problem:
             assert isinstance(driven, Excitation)
             flat = replace(driven, road=np.repeat(driven.road[:1], driven.road.shape[0], axis=0))
             stacked, _ = self._simulated(twin, candidates, flat)
-            responses.append(part.grid.apply(stacked)[:, :, 0])
+            responses.append(part.apply(stacked)[:, :, 0])
         nuisances = self.nuisances.with_planar_response(responses)
         return replace(self, likelihood=replace(self.likelihood, nuisances=nuisances))
 
@@ -536,7 +534,7 @@ class Problem:
         for part in self.data.parts:
             changed = (taped.changed(part.road, row) for row in np.diag(sigma))
             driven = [part.excitation, *(part.on(road).excitation for road in changed)]
-            signals = [part.grid.apply(self._simulated(twin, candidates, e)[0])[:, :, 0] for e in driven]
+            signals = [part.apply(self._simulated(twin, candidates, e)[0])[:, :, 0] for e in driven]
             responses.append(np.stack([s - signals[0] for s in signals[1:]], axis=2) / sigma)
         nuisances = self.nuisances.with_tape_response(responses)
         return replace(self, likelihood=replace(self.likelihood, nuisances=nuisances))
@@ -553,6 +551,10 @@ class Problem:
         """(M, C, L) simulated sensor readings at unknowns (p, L)."""
         signals, _ = self.signals(x)
         return self.likelihood.compared(signals, x[self.d : self.shared])
+
+    def readings(self, x: Floats) -> Floats:
+        """(M, C) simulated sensor readings at ``x`` (p,)."""
+        return self.compared(x[:, None])[:, :, 0]
 
     def residuals(self, x: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """(R, L) residuals of unknowns (p, L), and failed lanes."""

@@ -223,7 +223,10 @@ def _on_coarse_stamps(record: RigRecord, channels: Sequence[str]) -> RigRecord:
 def _grid(t: Floats, rate: float, cutoff: float, apply: Callable[[ArrayLike], Floats], speed: float) -> Grid:
     """The grid of a run at a constant speed in m/s, all samples of which are compared."""
     everything = np.ones(t.size, dtype=np.bool_)
-    return Grid(t, rate, cutoff, apply, speed * t, np.full(t.size, speed), everything)
+    along = np.full(t.size, speed)
+    return Grid(
+        t=t, rate=rate, bandwidth=cutoff, apply=apply, position=speed * t, along=along, mask=everything
+    )
 
 
 def _run(
@@ -239,7 +242,10 @@ def _run(
     """A run with the priors of its nuisance parameters; ``block`` m of the position are held out together."""
     names = tuple(measured)
     place = np.floor(grid.position / block).astype(np.intp)
-    return Observation(name, grid, driven, measured, noise_rms, Usage(names, names, priors, place))
+    usage = Usage(names, names, priors, place)
+    return Observation(
+        **vars(grid), name=name, excitation=driven, measured=measured, noise_rms=noise_rms, usage=usage
+    )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -254,7 +260,7 @@ class SimulatedRun(Comparison):
     @cached_property
     def simulated(self) -> Mapping[str, Floats]:
         """(m,) simulated signal of each channel, m/s² and rad/s."""
-        apply, response = self.observation.grid.apply, self.response
+        apply, response = self.observation.apply, self.response
         return {name: apply(response.channel(name)[:, 0]) for name in self.measured}
 
     def as_dict(self) -> dict[str, Any]:
@@ -297,7 +303,7 @@ def simulate_rig(record: RigRecord, twin: Twin) -> SimulatedRun:
         simulate_twin(twin, observation.road_excitation)  # says why
         raise WorkError(f"{record.name}: the simulation has failed")
     measured = observation.measured
-    simulated = {name: observation.grid.apply(response.channel(name)[:, 0]) for name in measured}
+    simulated = {name: observation.apply(response.channel(name)[:, 0]) for name in measured}
     # of correlation -0.5 half or more of the signal would be explained upside down
     reversed_signs = [n for n, v in measured.items() if np.corrcoef(v, simulated[n])[0, 1] < -0.5]
     signs = (f"{name} looks upside down: upwards and compression are positive" for name in reversed_signs)
@@ -367,7 +373,7 @@ def _rig(twin: Twin, paths: Sequence[str]) -> list[Observation]:
             replace(
                 one,
                 excitation=driven,
-                grid=replace(one.grid, position=place),
+                position=place,
                 usage=replace(one.usage, block=block),
             )
         )

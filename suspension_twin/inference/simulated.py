@@ -67,7 +67,7 @@ class SimulatedDrive(Comparison):
     def gap_from(self, t: float) -> Gap:
         """The gap over the driving from ``t`` s on; WorkError where there is none."""
         seen = self.observation
-        later = replace(seen, grid=replace(seen.grid, mask=seen.mask & (seen.t >= t)))
+        later = replace(seen, mask=seen.mask & (seen.t >= t))
         return later.gap(self.simulated)
 
     def as_dict(self) -> Json:

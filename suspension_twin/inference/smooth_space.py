@@ -21,7 +21,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from suspension_twin.arrays import Floats
+from suspension_twin.arrays import Floats, interpolated
 from suspension_twin.inference.priors import TABLES
 from suspension_twin.inference.space import CURVES, FEW_POINTS, Space, curve_keys
 from suspension_twin.models.parameters import Parameter, twin_value
@@ -159,7 +159,7 @@ def _knots(points: int) -> tuple[int, ...]:
 def _interpolation(points: int) -> Floats:
     """(n, K) linear interpolation from knots that are spread evenly over ``points`` points."""
     at = np.linspace(0.0, points - 1.0, KNOTS)
-    return np.stack([np.interp(np.arange(points), at, row) for row in np.eye(KNOTS)], axis=1)
+    return interpolated(np.arange(points, dtype=np.float64), at, np.eye(KNOTS))
 
 
 def _followed(x: Floats, force: Floats, wanted: Sequence[int]) -> list[int]:

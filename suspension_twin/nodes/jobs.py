@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from suspension_twin.calibration import request as calibration
-from suspension_twin.calibration.output import details_path
+from suspension_twin.calibration.output import details_path, write_result
 from suspension_twin.calibration.presets import preset_named
 from suspension_twin.diagnosis import request as diagnosis
 from suspension_twin.drive.read import drive_name
@@ -164,7 +164,6 @@ def run_calibration(
     job: Job, on_progress: Callable[[calibration.Progress], None], should_stop: Callable[[], bool]
 ) -> Outcome:
     """Calibrate in this process and write the twin and its details; stopped early, the best so far."""
-    from suspension_twin.calibration.output import write_result
     from suspension_twin.calibration.run import calibrate
 
     result = calibrate(job.request, on_progress, should_stop)

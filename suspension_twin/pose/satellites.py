@@ -128,7 +128,7 @@ def satellite_motion(
         rate=slowed(signals.rate),
         vertical_acceleration=slowed(signals.vertical_acceleration),
         up=signals.up[kept],
-        facts=replace(signals.facts, rate_hz=rate / step),
+        rate_hz=rate / step,
         standing=signals.standing[kept],
         saturated=signals.saturated[kept],
     )

@@ -173,7 +173,7 @@ def make_nodes(signals: ImuSignals, rows: Floats, sway: Floats, measured: Measur
         inputs[1:, column][wide] = np.diff(integral)[wide] / interval[wide]
     inputs[:, 2] = inputs[:, 2] > 0.5
     inputs[:, 3] = 1.0
-    for begin, end in signals.facts.gaps:
+    for begin, end in signals.gaps:
         inputs[(t > begin) & (t <= end), 3] = 1000.0
     return Nodes(t, kind, z, inputs, np.stack(at_nodes[8:], axis=1))
 

@@ -80,10 +80,6 @@ def diagnosis_page(result: DiagnosisResult) -> Page:
     return page
 
 
-def _label(channel: str) -> str:
-    return f"{wording.channel_name(channel)} [{channel_unit(channel)}]"
-
-
 def _interval(ends: Sequence[float]) -> str:
     return f"({wording.percent(ends[0])} to {wording.percent(ends[1])})"
 
@@ -119,7 +115,7 @@ def _in_time(view: DriveView, simulated: str, cut: slice = slice(None)) -> Figur
         view.simulated["after"][cut],
         before=view.simulated["before"][cut],
         origin=float(view.t[0]),
-        label=_label(view.channel),
+        label=f"{wording.channel_name(view.channel)} [{channel_unit(view.channel)}]",
         names={"before": "twin as given", "simulated": simulated},
     )
 

@@ -29,7 +29,7 @@ from typing import Literal, cast, get_args
 
 import numpy as np
 
-from suspension_twin.arrays import Floats
+from suspension_twin.arrays import Floats, interpolated
 from suspension_twin.errors import InputError
 from suspension_twin.road.build import (
     Bump,
@@ -129,7 +129,7 @@ class Taped:
                 own = _added(road.with_heights(np.zeros_like(road.z)), feature).z
                 middle = feature.at + 0.5 * feature.size[0]
                 u = middle + (road.u - along - middle) * feature.size[0] / (feature.size[0] + length)
-                moved = np.stack([np.interp(u, road.u, column) for column in own.T], axis=1)
+                moved = interpolated(u, road.u, own)
                 z += (1.0 + height / feature.size[1]) * moved - own
         return road.with_heights(z)
 

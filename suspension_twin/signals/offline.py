@@ -173,11 +173,10 @@ def gnss_motion(drive: Drive) -> GnssMotion:
     )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ImuFacts:
     """Facts of a drive's IMU: its ``place``; ``gravity`` m/s²; ``rate_hz``; ``force_bias`` m/s² and ``rate_bias`` rad/s
-    (3,), what was subtracted, ``base_link`` axes; ``gaps`` (k, 2) start and end in s; ``findings``; ``turned`` s, the
-    moments at which the sensor turned in its holder."""
+    (3,), what was subtracted, ``base_link`` axes; ``gaps`` (k, 2) start and end in s; ``findings``."""
 
     place: Place
     gravity: float
@@ -186,16 +185,15 @@ class ImuFacts:
     rate_bias: Floats
     gaps: Floats
     findings: list[Finding]
-    turned: tuple[float, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class ImuSignals:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ImuSignals(ImuFacts):
     """A drive's IMU in ``base_link`` axes at the sensor's place, at the ``n`` usable stamps, unfiltered.
 
     ``t`` (n,) s strictly rising; ``force`` (n, 3) m/s² specific force with gravity, ``rate`` (n, 3) rad/s, biases
     removed from both; ``vertical_acceleration`` (n,) m/s² gravity removed; ``up`` (n, 3) unit vector opposite to
-    gravity; ``standing``, ``saturated`` (n,); ``facts`` of the whole drive.
+    gravity; ``standing``, ``saturated`` (n,).
     """
 
     t: Floats
@@ -205,35 +203,9 @@ class ImuSignals:
     up: Floats
     standing: NDArray[np.bool_]
     saturated: NDArray[np.bool_]
-    facts: ImuFacts
 
     def __len__(self) -> int:
         return int(self.t.size)
-
-    @property
-    def place(self) -> Place:
-        """Place of the sensor."""
-        return self.facts.place
-
-    @property
-    def gravity(self) -> float:
-        """Gravity in m/s²."""
-        return self.facts.gravity
-
-    @property
-    def rate_hz(self) -> float:
-        """Samples per second."""
-        return self.facts.rate_hz
-
-    @property
-    def force_bias(self) -> Floats:
-        """(3,) m/s², subtracted from the force."""
-        return self.facts.force_bias
-
-    @property
-    def findings(self) -> list[Finding]:
-        """Oddities of the recording."""
-        return self.facts.findings
 
 
 def ingest_drive(drive: Drive, place: Place, settings: ImuSettings | None = None) -> ImuSignals:
@@ -351,11 +323,22 @@ def ingest_drive(drive: Drive, place: Place, settings: ImuSettings | None = None
         up = smooth_up(t, force - planar, rate, gravity, length)
         vertical = force[:, 2] - gravity * up[:, 2]
     unit = reading.unit  # a sensor in g that is to be left so
-    moments = tuple(moment for moment, change in changes if not change.slow)
-    facts = ImuFacts(
-        place, gravity / unit, rate_hz, reading.bias[:3] / unit, rate_bias, gaps, findings, moments
+    return ImuSignals(
+        place=place,
+        gravity=gravity / unit,
+        rate_hz=rate_hz,
+        force_bias=reading.bias[:3] / unit,
+        rate_bias=rate_bias,
+        gaps=gaps,
+        findings=findings,
+        t=t,
+        force=force / unit,
+        rate=rate,
+        vertical_acceleration=vertical / unit,
+        up=up,
+        standing=standing,
+        saturated=saturated,
     )
-    return ImuSignals(t, force / unit, rate, vertical / unit, up, standing, saturated, facts)
 
 
 def mounting_changes(

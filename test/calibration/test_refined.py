@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from suspension_twin.calibration.labels import parameter_unit
 from suspension_twin.calibration.presets import PRESETS, build_space, refined

@@ -55,12 +55,6 @@ def test_ga_closes_in_and_never_loses_its_best() -> None:
     assert search.best[-1] < 0.02 * search.best[0]
 
 
-def test_the_start_is_in_the_first_population() -> None:
-    search = GeneticSearch(6, GaSettings(population=10), seed=1, start=TARGET)
-    search.tell(bowl(search.ask()))
-    assert search.best[0] == 0.0
-
-
 def test_stall_ends_the_search_after_eight_generations_without_change() -> None:
     search = GeneticSearch(2, GaSettings(population=20), seed=1)
     search.tell(np.ones(search.ask().shape[0]))

@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from suspension_twin.cli.main import main
 from suspension_twin.diagnosis.answer import answer_of, hand_on

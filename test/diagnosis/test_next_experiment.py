@@ -65,6 +65,6 @@ def test_the_next_drive_says_how_much_it_is_worth(nats, says, monkeypatch):
 
     monkeypatch.setattr(module, "twin_of", lambda problem, fit: None)
     monkeypatch.setattr(module, "separating_drive", lambda *_: (nats, "a bump"))
-    judged = SimpleNamespace(problem=None, noise={}, reference=None)
+    judged = SimpleNamespace(problem=None, scale=SimpleNamespace(noise={}, reference=None))
     road = SimpleNamespace(kind="road")
     assert says in next_experiment(road, candidates("time_offset", "clock_drift"), "unknown", judged)

@@ -94,7 +94,9 @@ def gain(problem: Any, before: Hypothesis, after: Hypothesis) -> float:
         penalty = penalty_of(problem.having(h), fit, fit.at.model)
         return Evidence(fit, score, 0.0, {}, np.zeros(1), np.zeros((1, 5)), 0.0, penalty)
 
-    judged: Any = SimpleNamespace(temper=0.03, base=SimpleNamespace(found=found(before)))
+    judged: Any = SimpleNamespace(
+        scale=SimpleNamespace(temper=0.03), base=SimpleNamespace(found=found(before))
+    )
     return tempered_gain(judged, found(after))
 
 

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from mcap.writer import CompressionType, Writer
 from rosbags.rosbag1 import Writer as Ros1Writer
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
-from rosbags.rosbag2 import Writer as Ros2Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer as Ros2Writer
 
 from suspension_twin.drive.cdr import ros1_types, ros2_types
 from suspension_twin.drive.contents import Contents

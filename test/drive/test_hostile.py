@@ -20,8 +20,7 @@ import lz4.frame
 import numpy as np
 import pytest
 import zstandard
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from suspension_twin.drive.foreign_files import read_array, read_table
 from suspension_twin.drive.importing import import_drive, import_rig

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 
 from suspension_twin.drive.checks import clean_drive, path_length, rhythm_of, summarise
 from suspension_twin.drive.importing import import_drive

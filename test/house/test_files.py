@@ -15,8 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from suspension_twin.errors import InputError, WorkError, nearest, shown
 from suspension_twin.files import (

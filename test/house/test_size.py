@@ -8,9 +8,9 @@ from pathlib import Path
 
 #: Counts that are still beyond their limit; lower one here when it is lower in the code, and drop it at its limit.
 REACHED = {
-    "statements of models, effects, inference, calibration, diagnosis": 13_135,
-    "statements of all": 41_912,
-    "numbers at module level of inference, calibration, diagnosis": 229,
+    "statements of models, effects, inference, calibration, diagnosis": 13_077,
+    "statements of all": 41_819,
+    "numbers at module level of inference, calibration, diagnosis": 220,
 }
 
 

@@ -32,7 +32,7 @@ def drive(pass_case: Any) -> Observation:
 
 def usable(drive: Observation, mask: np.ndarray) -> Observation:
     """The drive with samples (m,) that can be compared."""
-    return replace(drive, grid=replace(drive.grid, mask=mask))
+    return replace(drive, mask=mask)
 
 
 def driven_at(drive: Observation, speed: np.ndarray) -> Observation:
@@ -139,10 +139,7 @@ def test_what_cannot_be_compared_is_not_excited(drive: Observation) -> None:
     assert not excited(hidden, SHORT).any()
 
 
-def test_settings_are_those_for_a_car_by_default(drive: Observation) -> None:
-    burst = shaken(drive, (2.5, 3.0))
-    np.testing.assert_array_equal(excited(burst), excited(burst, TrimSettings()))
-    np.testing.assert_array_equal(fit_rows(burst), fit_rows(burst, TrimSettings()))
+def test_settings_are_those_for_a_car_by_default() -> None:
     usual = TrimSettings()
     # a body oscillates for a second or two after a bump, and a transient has to decay before that
     assert usual.before < usual.after < usual.bridge and usual.window <= usual.before < usual.lead

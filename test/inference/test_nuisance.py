@@ -24,7 +24,7 @@ from suspension_twin.inference.nuisance import (
     map_spread,
     slow_position_error,
 )
-from suspension_twin.inference.observation import Grid, Observation, Usage, observe
+from suspension_twin.inference.observation import Observation, Usage, observe
 
 CHANNELS = (
     "vertical_acceleration",
@@ -65,10 +65,12 @@ def part_of(
     nothing: Any = None
     mask = np.ones(t.size, dtype=bool)
     names = tuple(channels)
-    grid = Grid(t, RATE, 20.0, nothing, np.cumsum(speed) / RATE, speed, mask)
     usage = Usage(names, names, NuisancePriors(), np.zeros(t.size, dtype=np.intp))
     measured = {c: rng.standard_normal(t.size) for c in channels}
-    return Observation(name, grid, nothing, measured, {}, usage)
+    return Observation(
+        t=t, rate=RATE, bandwidth=20.0, apply=nothing, position=np.cumsum(speed) / RATE, along=speed, mask=mask,
+        name=name, excitation=nothing, measured=measured, noise_rms={}, usage=usage,
+    )  # fmt: skip
 
 
 class Waves:
@@ -532,7 +534,7 @@ def test_a_known_road_and_a_calibrated_twin_leave_less() -> None:
 
 
 def drives(*sigmas: float) -> list[Any]:
-    return [replace(p := part_of(), grid=replace(p.grid, position_sigma=s)) for s in sigmas]
+    return [replace(part_of(), position_sigma=s) for s in sigmas]
 
 
 def test_the_map_is_off_by_a_third_of_a_fix() -> None:

@@ -96,7 +96,7 @@ def test_what_is_simulated_begins_with_the_run_and_is_compared_where_it_was_film
     np.testing.assert_allclose(seen.excitation.t, np.arange(first + 40) / 50.0, atol=1e-12)
     stamps = np.repeat(seen.excitation.t[:, None], 2, axis=1)
     filtered = low_pass(stamps, 50.0)
-    path = seen.grid.apply(stamps)
+    path = seen.apply(stamps)
     np.testing.assert_allclose(path, filtered[first : first + 40], rtol=1e-12)
     assert path.flags.c_contiguous
 
@@ -179,7 +179,7 @@ def test_inputs_that_differ_by_the_noise_of_a_transducer_share_an_excitation(
         assert (run.along == 1.0).all() and run.along.shape == run.t.shape
         assert run.usage.priors == OF_A_RIG
     assert set(one.measured) == set(one.noise_rms) == set(record.columns) - {"road_displacement"}
-    assert one.grid.apply(np.zeros((800, 2))).shape == (one.t.size, 2)
+    assert one.apply(np.zeros((800, 2))).shape == (one.t.size, 2)
     assert one.bandwidth < one.rate / 2
 
 

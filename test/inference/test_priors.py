@@ -8,8 +8,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from suspension_twin.errors import InputError
 from suspension_twin.inference.priors import PRIORS, TABLES, TwinPrior, prior_of

@@ -16,7 +16,7 @@ from suspension_twin.calibration.setup import Setup, problem_of, set_up
 from suspension_twin.calibration.squares import moved
 from suspension_twin.drive.read import read_drive
 from suspension_twin.errors import InputError, WorkError
-from suspension_twin.inference.excited_segments import excited, fit_rows, trim
+from suspension_twin.inference.excited_segments import TrimSettings, excited, fit_rows, trim
 from suspension_twin.inference.noise import Whitener, autoregression
 from suspension_twin.inference.nuisance import OF_A_CALIBRATION, NuisancePriors, Nuisances
 from suspension_twin.inference.objectives import Measured, Objective, Term
@@ -52,14 +52,14 @@ def objective(setup: Setup) -> Objective:
 
 
 def test_what_the_bump_excites_is_kept_and_the_rest_is_not(prepared: Observation) -> None:
-    active = excited(prepared)
+    active = excited(prepared, TrimSettings())
     when = prepared.t[active] - prepared.t[0]
     # the front wheels reach the bump after (14 - 5 - 2.85) m at 4.2 m/s; half a second before that is kept, and
     # half the window that the motion is judged by
     assert when.min() == pytest.approx(1.46 - 0.75, abs=0.1)
     assert 4.0 < when.max() < 6.0
     still = replace(prepared, measured={k: 0 * v for k, v in prepared.measured.items()})
-    assert not excited(still).any() and trim(still) == []
+    assert not excited(still, TrimSettings()).any() and trim(still, TrimSettings()) == []
 
 
 def test_a_long_drive_is_cut_to_its_passes(prepared: Observation) -> None:
@@ -84,14 +84,14 @@ def test_a_long_drive_is_cut_to_its_passes(prepared: Observation) -> None:
 
     stub = Stub()
     stub.rate = rate  # type: ignore[attr-defined]
-    trim(stub)  # type: ignore[arg-type]
+    trim(stub, TrimSettings())  # type: ignore[arg-type]
     assert len(stub.cuts) == 2
     assert sum(b - a for a, b in stub.cuts) < 18.0
 
 
 def test_nothing_is_compared_while_a_start_from_rest_is_forgotten(prepared: Observation) -> None:
     part = prepared.part(prepared.t[0] + 1.0, prepared.t[-1])
-    assert part.t[fit_rows(part)].min() > part.t[0] + 2.4
+    assert part.t[fit_rows(part, TrimSettings())].min() > part.t[0] + 2.4
 
 
 # -- nuisances -------------------------------------------------------------------------------------

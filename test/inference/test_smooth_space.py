@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from suspension_twin.calibration.presets import build_space, preset_named
 from suspension_twin.inference.smooth_space import FEW_POINTS, KNOTS, SmoothSpace, smooth_space

@@ -7,8 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from suspension_twin.live.follow import BodyAcceleration, Pairing, PlanarAcceleration
 from suspension_twin.pose.lock import PlanarMotion, PlanarState

@@ -9,8 +9,7 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from suspension_twin.pose.local_map import LocalMap
 from suspension_twin.pose.lock import AHEAD, MAX_FORCE, MAX_TURN, PAUSE, PlanarState, PoseLock

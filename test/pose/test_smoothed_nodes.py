@@ -25,7 +25,7 @@ from suspension_twin.pose.smoothed import (
     planar_rows,
 )
 from suspension_twin.pose.types import PoseSettings, fix_sigma
-from suspension_twin.signals.offline import ImuFacts, ImuSignals
+from suspension_twin.signals.offline import ImuSignals
 from suspension_twin.vehicle.twin import Datum, Place
 
 T0 = 1.7e9
@@ -139,7 +139,13 @@ def signals(
         "up": up,
         "standing": np.zeros(n, dtype=bool),
         "saturated": np.zeros(n, dtype=bool),
-        "facts": ImuFacts(place, G, rate_hz, np.zeros(3), np.zeros(3), gaps, []),
+        "place": place,
+        "gravity": G,
+        "rate_hz": rate_hz,
+        "force_bias": np.zeros(3),
+        "rate_bias": np.zeros(3),
+        "gaps": gaps,
+        "findings": [],
     }
     return ImuSignals(**{**given, **more})
 

@@ -6,8 +6,7 @@ from __future__ import annotations
 import matplotlib as mpl
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from suspension_twin.calibration.request import Band
 from suspension_twin.report import plots, style

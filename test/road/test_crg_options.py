@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import pycrg
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from suspension_twin.errors import InputError
 from suspension_twin.road import curved_road, grid_road, load_road, write_road

@@ -7,8 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from suspension_twin.errors import InputError
 from suspension_twin.signals.filters import CausalLowPass, FilterSpec, LiveLowPass

@@ -8,8 +8,7 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from suspension_twin.drive.types import Drive
 from suspension_twin.signals.filters import CausalLowPass, FilterSpec

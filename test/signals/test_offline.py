@@ -40,7 +40,7 @@ def test_biases_and_gravity_go_and_the_motion_stays(
     assert codes(signals) == {}
     assert signals.rate_hz == pytest.approx(rate, rel=1e-3)
     assert signals.force_bias == pytest.approx(bias, abs=0.01)
-    assert signals.facts.rate_bias == pytest.approx(turn, abs=5e-4)
+    assert signals.rate_bias == pytest.approx(turn, abs=5e-4)
     assert np.sqrt(np.mean((signals.force - truth.force) ** 2)) < 0.035  # the noise is 0.03
     assert np.sqrt(np.mean((signals.vertical_acceleration - truth.vertical) ** 2)) < 0.035
     assert abs(np.mean(signals.vertical_acceleration - truth.vertical)) < 0.005
@@ -132,7 +132,7 @@ def test_lost_repeated_mixed_and_broken_samples(make_drive: Maker) -> None:
     assert codes(signals) == dict.fromkeys(("invalid", "duplicates", "reordered", "gaps"), "warn")
     assert np.all(np.diff(signals.t) > 0)
     assert len(signals) == 2000 - 40 - 2
-    assert signals.facts.gaps == pytest.approx(np.array([[truth.t[1399], truth.t[1440]]]), abs=1e-6)
+    assert signals.gaps == pytest.approx(np.array([[truth.t[1399], truth.t[1440]]]), abs=1e-6)
     found = np.searchsorted(truth.t, signals.t - 1e-6)
     assert np.std(signals.vertical_acceleration - truth.vertical[found]) < 0.04
 
@@ -171,7 +171,7 @@ def test_no_standstill_is_told_and_biases_come_from_the_drive(make_drive: Maker)
     signals = ingest_drive(replace(drive, velocity=replace(velocity, enu=enu)), Place())
     assert codes(signals) == {"no_standstill": "warn"}
     assert signals.force_bias == pytest.approx([0.1] * 3, abs=0.03)
-    assert signals.facts.rate_bias == pytest.approx([0.005] * 3, abs=1e-3)
+    assert signals.rate_bias == pytest.approx([0.005] * 3, abs=1e-3)
     assert np.std(signals.vertical_acceleration - truth.vertical) < 0.035
 
 

@@ -70,7 +70,7 @@ def test_a_standstill_is_seen_where_gravity_is_removed(make_drive: Maker, veloci
     signals = ingest_drive(with_imu(drive, specific_force=drive.imu.specific_force - G * truth.up), Place())
     assert [f.code for f in signals.findings] == ["gravity_removed"]
     assert signals.standing[: int(5.5 * signals.rate_hz)].mean() > 0.9
-    same(signals.facts.rate_bias, np.array([0.01, 0.01, 0.02]), 5e-4)
+    same(signals.rate_bias, np.array([0.01, 0.01, 0.02]), 5e-4)
 
 
 def test_whatever_way_the_sensor_is_mounted_and_said_to_be_all_is_the_same(make_drive: Maker) -> None:
@@ -86,12 +86,12 @@ def test_whatever_way_the_sensor_is_mounted_and_said_to_be_all_is_the_same(make_
     turned = ingest_drive(mounted, Place(position=(1.0, 0.5, 0.3), rpy=rpy))
     for name in ("force", "rate", "vertical_acceleration", "up", "force_bias"):
         same(getattr(turned, name), getattr(upright, name), 1e-9)
-    same(turned.facts.rate_bias, upright.facts.rate_bias, 1e-9)
+    same(turned.rate_bias, upright.rate_bias, 1e-9)
     assert np.array_equal(turned.standing, upright.standing)
     # what was taken off is what was put on
     put_on = drive.imu.specific_force - upright.force
     same(put_on, np.tile(upright.force_bias, (len(put_on), 1)), 1e-9)
-    same(drive.imu.angular_rate - upright.rate, np.tile(upright.facts.rate_bias, (len(put_on), 1)), 1e-9)
+    same(drive.imu.angular_rate - upright.rate, np.tile(upright.rate_bias, (len(put_on), 1)), 1e-9)
 
 
 def test_a_rest_on_a_slope_and_a_long_reading(make_drive: Maker) -> None:
@@ -105,7 +105,7 @@ def test_a_rest_on_a_slope_and_a_long_reading(make_drive: Maker) -> None:
     level = ingest_drive(drive, Place(), ImuSettings(level="always"))
     assert level.force[level.standing].mean(axis=0) == pytest.approx([0.0, 0.0, G], abs=5e-3)
     turn = Rotation.from_euler("xyz", [0.0, -0.2, 0.0])
-    same(level.facts.rate_bias, turn.apply([0.02, 0.01, 0.03]), 5e-4)
+    same(level.rate_bias, turn.apply([0.02, 0.01, 0.03]), 5e-4)
     same(level.rate, turn.apply(ingest_drive(drive, Place()).rate), 1e-3)
 
 

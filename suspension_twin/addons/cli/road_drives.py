@@ -13,7 +13,7 @@ import typer
 from suspension_twin.cli.common import Force, Outputs, ProgressLine, Seed, TwinFile, output, print_table
 from suspension_twin.cli.road import RoadOut, datum_line
 from suspension_twin.errors import InputError
-from suspension_twin.files import Json
+from suspension_twin.files import Json, together
 
 if TYPE_CHECKING:
     from suspension_twin.addons.roads.drives.drives import DrivenPart
@@ -73,7 +73,6 @@ def command(
     """
     from suspension_twin.addons.roads.drives.drives import road_from_drives, write_estimate
     from suspension_twin.addons.roads.drives.estimate import RoadEstimateSettings
-    from suspension_twin.files import together
     from suspension_twin.road.crg import record_path
     from suspension_twin.road.recipe import parse_feature
     from suspension_twin.vehicle.twin import Datum, load_twin, save_twin

@@ -25,8 +25,7 @@ from suspension_twin.errors import InputError, SuspensionTwinError, WorkError
 from suspension_twin.files import explained
 
 if TYPE_CHECKING:
-    from distributed import Client
-    from distributed import Future as Remote
+    from distributed import Client, Future as Remote
 
 __all__ = ["Cluster", "FleetOutcome", "FleetPlan", "connected", "plan_fleet", "run_fleet"]
 

@@ -11,8 +11,7 @@ import csv
 import io
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from datetime import date as Date
-from datetime import datetime
+from datetime import date as Date, datetime
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 

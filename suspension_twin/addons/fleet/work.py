@@ -264,10 +264,6 @@ def moved_twin(twin: Twin, road: Path, path: Path) -> Path:
     return path
 
 
-def _files(folder: Path) -> dict[str, str]:
-    return {path.name: read_text(path) for path in sorted(folder.iterdir())}
-
-
 def _calibrated(task: Task, inputs: _Inputs) -> Record:
     from suspension_twin.calibration.labels import parameter_unit
     from suspension_twin.calibration.output import write_result
@@ -357,7 +353,7 @@ def _diagnosed(task: Task, inputs: _Inputs) -> Record:
     return {
         **places,
         "message": result.message,
-        "files": _files(out),
+        "files": {path.name: read_text(path) for path in sorted(out.iterdir())},
         "warnings": list(document["warnings"]),
         "channel": document["gap"]["channel"],
         "noise": document["gap"]["noise_rms"],

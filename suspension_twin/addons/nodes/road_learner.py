@@ -12,8 +12,7 @@ import math
 import tempfile
 import time
 from array import array
-from collections.abc import Callable
-from collections.abc import Set as AbstractSet
+from collections.abc import Callable, Set as AbstractSet
 from pathlib import Path
 from typing import NamedTuple
 

@@ -11,8 +11,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable
-from collections.abc import Set as AbstractSet
+from collections.abc import Callable, Set as AbstractSet
 from contextlib import suppress
 from functools import partial
 from pathlib import Path

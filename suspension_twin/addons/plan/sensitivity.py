@@ -52,7 +52,7 @@ def planned_problem(twin: Twin, drive: Observation) -> Problem:
     problem = drive_problem(twin, None, data, priors, [0.0], simulation)
     problem = problem.with_planar_response(problem.prior.centre)
     share = USUAL_SHARE * _of_the_road(problem)
-    return problem.weighed(Whitener.designed(problem.measured, share, [dict(drive.noise_rms)]))
+    return problem.weighed(Whitener.designed(problem.measured, share, [drive.noise_rms]))
 
 
 def _of_the_road(problem: Problem) -> Floats:

@@ -18,8 +18,7 @@ import secrets
 import socket
 import threading
 from collections.abc import Awaitable, Callable, Coroutine
-from concurrent.futures import Future
-from concurrent.futures import TimeoutError as NoAnswer
+from concurrent.futures import Future, TimeoutError as NoAnswer
 from pathlib import Path
 from queue import SimpleQueue
 from typing import TypeVar

@@ -82,8 +82,6 @@ class RoadEstimateSettings:
         Draws of the posterior at the end.
     seed : int
         Of the draws.
-    local : bool
-        The road's level may differ from place to place.
     vehicle : float
         Relative standard deviation of the twin's gain from wheel to sensor, which all drives have in common and which
         therefore no drive shows (a prior: spring and damper rates of a calibrated twin are right to some per cent).
@@ -100,7 +98,6 @@ class RoadEstimateSettings:
     iterations: int = 5
     samples: int = 10
     seed: int = 0
-    local: bool = True
     vehicle: float = 0.03
     strict: bool = True
     joint: bool = False
@@ -349,7 +346,7 @@ def estimate_road(
             step = _vehicle(replace(problem, twin=twin), values, solved, state)
         last = iteration == settings.iterations - 1
         draws = [solved.inverse.error_sample(rng) for _ in range(settings.samples if last else _DRAWS)]
-        state, record = _update(state, solved, draws, settings.local and iteration >= 1 and not last)
+        state, record = _update(state, solved, draws, iteration >= 1 and not last)
         if step is not None:
             record["vehicle"] = step.values.tolist()
             if not last:

@@ -179,7 +179,9 @@ def road_from_scan(
     except InputError as error:
         raise InputError("; ".join([str(error), *_coarse(gathered.resolution, *_STEPS[-1])])) from None
     ground = ground_points(points, cells)
-    steps = chosen.steps or _steps_for(ground.u.size / (line.length * 2.0 * (half + _BESIDE)))
+    density = ground.u.size / (line.length * 2.0 * (half + _BESIDE))
+    fine_enough = (s for s in _STEPS if density * s[0] * s[1] >= _PER_CELL)
+    steps = chosen.steps or next(fine_enough, _STEPS[-1])
     line = Centreline(line.x, line.y, steps[0])
     nv = 2 * max(1, round(half / steps[1])) + 1
     grid = SurfaceGrid(line.x.size, nv, steps[0], 2.0 * half / (nv - 1), -half)
@@ -252,10 +254,6 @@ def _part(line: Centreline, section: tuple[float, float], name: str) -> Centreli
     if not 0 <= low < high - 4 or section[1] > line.length + 1.0:
         raise InputError("--section", f"must lie within 0 to {line.length:.1f} m of {name}, from low to high")
     return Centreline(line.x[low : high + 1], line.y[low : high + 1], line.step)
-
-
-def _steps_for(density: float) -> tuple[float, float]:
-    return next((s for s in _STEPS if density * s[0] * s[1] >= _PER_CELL), _STEPS[-1])
 
 
 def _status(count: Floats, grid: SurfaceGrid, fill: float) -> NDArray[np.int8]:
