@@ -171,7 +171,7 @@ def _draw_car(
         )
     }
     style.save(
-        plots.two_sided(
+        plots.amplitude_spectra(
             spectra["measured"][0],
             {role: amplitude for role, (_, amplitude) in spectra.items()},
             names={"simulated": "full_car", "before": "msd"},

@@ -143,13 +143,16 @@ def felt_place(
     assert twin.datum is not None
     begin, end = (float(whole.t[0]) + at for at in (span[0] - MARGIN + 0.5, span[1] + MARGIN - 0.5))
     phone = phone_grade(drive, twin.datum, seed)
-    imu, fix, velocity = (
-        part.select(np.flatnonzero((part.t >= begin) & (part.t <= end)))
-        for part in (phone.imu, phone.fix, phone.velocity)
+    within = [np.flatnonzero((t >= begin) & (t <= end)) for t in (phone.imu.t, phone.fix.t, phone.velocity.t)]
+    phone = replace(
+        phone,
+        imu=phone.imu.select(within[0]),
+        fix=phone.fix.select(within[1]),
+        velocity=phone.velocity.select(within[2]),
     )
     row: dict[str, Any] = {"seed": seed}
     try:
-        read = on_one_clock(observe(replace(phone, imu=imu, fix=fix, velocity=velocity), twin, road))
+        read = on_one_clock(observe(phone, twin, road))
         row["receiver"] = ahead_of(read, whole, span)
         where = place(read, twin)
         row["felt"] = row["receiver"] if where is None else ahead_of(where.kept(read), whole, span)
