@@ -27,7 +27,7 @@ from typing import Any
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent
 INTERFACES = ROOT / "suspension_twin_interfaces"
-PICTURES = {"bump_time": "bump.png", "characteristics": "characteristics.png", "road_map": "map.png"}
+PICTURES = {"bump_time": "bump.png", "characteristics": "characteristics.png"}
 #: What each node does, in a few words.
 DOES = {
     "imu_ingest": "axes, biases and units of the IMU; low-pass",
@@ -358,7 +358,7 @@ def _parameter(e: Any, p: Any) -> str:
 
 
 def demo_pictures() -> None:
-    """Run the demo as its command does and keep three of its figures."""
+    """Run the demo as its command does and keep two of its figures."""
     from suspension_twin.cli.common import bundled
     from suspension_twin.demo.page import figures
     from suspension_twin.demo.steps import run_demo
