@@ -27,7 +27,7 @@ from typing import Any
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent
 INTERFACES = ROOT / "suspension_twin_interfaces"
-PICTURES = {"bump_time": "bump.png", "characteristics": "characteristics.png", "road_map": "map.png"}
+PICTURES = {"bump_time": "bump.png", "characteristics": "characteristics.png"}
 #: What each node does, in a few words.
 DOES = {
     "imu_ingest": "axes, biases and units of the IMU; low-pass",
@@ -89,6 +89,8 @@ CARRIES = {
 }
 #: Models of an effect that names none on its page.
 _USUAL_MODELS = ("full_car", "quarter_car")
+#: Meaning of a parameter ``corner``, which effects.md says once.
+CORNERS = "0 front left, 1 front right, 2 rear left, 3 rear right"
 #: Titles of the sections of effects.md, by where an effect acts.
 WHERE = {
     "strut": "In the struts",
@@ -311,7 +313,7 @@ def _lines(e: Any) -> Iterable[str]:
         if rear is not p and _size(rear) == _size(p):
             both = re.sub(r", front$|\bfront ", "", p.doc)
             yield f"- {_name(e, p)}, {_name(e, rear)} {_size(p)}: {both}\n"
-        elif front is p or _size(front) != _size(p):
+        elif (front is p or _size(front) != _size(p)) and p.doc != CORNERS:
             yield f"- {_parameter(e, p)}\n"
 
 
@@ -356,7 +358,7 @@ def _parameter(e: Any, p: Any) -> str:
 
 
 def demo_pictures() -> None:
-    """Run the demo as its command does and keep three of its figures."""
+    """Run the demo as its command does and keep two of its figures."""
     from suspension_twin.cli.common import bundled
     from suspension_twin.demo.page import figures
     from suspension_twin.demo.steps import run_demo

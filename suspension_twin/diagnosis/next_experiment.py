@@ -183,7 +183,7 @@ def separating_drive(
 def next_experiment(case: Case, tied: Sequence[Candidate], answer: str, judged: Judged) -> str:
     """One sentence: the manoeuvre that separates the ``tied`` candidates of a diagnosis, and the expected gain."""
     if len(tied) < 2:
-        return "None is needed to separate candidates."
+        return "No further drive is needed to separate candidates."
     effects = [c.effects[0] for c in tied[:2]]
     pair = " from ".join(effect_name(e) for e in effects)
     if case.kind == "run":

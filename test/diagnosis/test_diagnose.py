@@ -315,7 +315,7 @@ def test_two_causes_are_named_together_and_nothing_has_to_tell_them_apart(make: 
     first, second, other = document["causes"]
     assert min(first["probability"], second["probability"]) > 0.4 and other["probability"] < 0.01
     assert not any(c["indistinguishable_from"] for c in document["causes"])
-    assert document["next_experiment"].startswith("None is needed to separate candidates.")
+    assert document["next_experiment"].startswith("No further drive is needed to separate candidates.")
 
 
 def test_what_a_converter_cuts_off_is_compared(make: Any, tmp_path: Path) -> None:

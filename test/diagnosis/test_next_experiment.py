@@ -45,7 +45,7 @@ def candidates(*effects):
 def test_a_next_drive_is_proposed_only_where_two_candidates_are_left():
     road, run = SimpleNamespace(kind="road"), SimpleNamespace(kind="run")
     assert next_experiment(road, candidates("payload"), "effect", None) == (
-        "None is needed to separate candidates."
+        "No further drive is needed to separate candidates."
     )
     assert next_experiment(run, candidates("payload", "spring_sag"), "unknown", None).startswith(
         "Repeat the run with another excitation to separate unlisted payload from "
