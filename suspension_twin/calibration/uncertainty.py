@@ -90,13 +90,8 @@ def assess(setup: Setup, outcome: SearchOutcome, seed: int) -> Uncertainty:
     precision = problem.prior.precision
     d = len(problem.space)
     x, weighing, doubt = _best_fit(setup, problem, outcome, precision)
-
-    def around(x: Floats) -> Posterior:
-        where = _travel_at(setup, problem, x)
-        return posterior(problem, weighing, x, precision, where, seed, placed=outcome.placed, doubt=doubt)
-
     for _ in range(3):
-        found = around(x)
+        found = posterior(problem, weighing, x, precision, _travel_at(setup, problem, x), seed, doubt=doubt)
         if doubt is not None or found.better is None:
             break
         x = _polished(problem, weighing, found.better, precision, outcome.placed)
@@ -116,7 +111,9 @@ def assess(setup: Setup, outcome: SearchOutcome, seed: int) -> Uncertainty:
         )
         if held is not x:
             x = held
-            found = around(x)
+            found = posterior(
+                problem, weighing, x, precision, _travel_at(setup, problem, x), seed, doubt=doubt
+            )
     low, high = np.quantile(found.draws, INTERVAL, axis=1)
     # What is reported belongs to its interval, also where another objective found it at the end of a valley.
     reported = problem.space.from_slopes(x[:d, None])[:, 0]
