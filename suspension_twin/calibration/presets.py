@@ -162,11 +162,12 @@ def with_table_2(twin: Twin) -> Twin:
     return twin.with_changes(changes)
 
 
-def refined(twin: Twin, kept: Sequence[str] = ()) -> Twin:
-    """The twin with springs of points about the standing car, and with links of no effect yet.
+def refined(twin: Twin, kept: Sequence[str] = (), further: Mapping[str, float] | None = None) -> Twin:
+    """The twin with springs of points about the standing car, and with links and friction of no effect yet.
 
     The springs' curves stay what they are, as lines through new points. A spring with enough points stays as it is, and
-    so does one of which ``kept`` names a key; twins of models without springs or links stay whole.
+    so does one of which ``kept`` names a key; twins of models without springs or links stay whole. The points of an
+    axle lie by ``further`` m beyond those of the curve, its free length with them, which shows in no signal.
     """
     changes: dict[str, object] = {}
     points = TABLES.refined_spring
@@ -178,7 +179,7 @@ def refined(twin: Twin, kept: Sequence[str] = ()) -> Twin:
             continue
         at = static + np.array(points.travel)
         at = np.append(at[at > 0.3 * static], max(static + points.end, x[-1]))
-        changes[f"{key}.compression"] = tuple(at.round(4).tolist())
+        changes[f"{key}.compression"] = tuple((at + (further or {}).get(name, 0.0)).round(4).tolist())
         changes[f"{key}.force"] = tuple(_along(x, force, at.round(4)).round(2).tolist())
     damping = OPTIONAL_PARTS["tyre_damping"].keys["damping"]
     if damping in model_of(twin).also and not has_part(twin, damping):

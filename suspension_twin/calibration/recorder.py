@@ -74,16 +74,17 @@ class Recorder:
         on_progress: Callable[[Progress], None],
         should_stop: Callable[[], bool],
         store: Checkpoint | None,
+        name: str = "",
     ) -> None:
         self.request, self.setup = request, setup
-        self.on_progress, self.should_stop, self.store = on_progress, should_stop, store
+        self.on_progress, self.should_stop, self.store, self.name = on_progress, should_stop, store, name
         self.history: list[tuple[float, float, float, float]] = []
         self.evaluations = 0
         self._arrays: dict[str, Floats] = {}
         self._kept: list[object] = []
         self._told = self._begun = self._saved = 0
         self._started = time.monotonic()
-        if store is not None and (state := store.load()) is not None:
+        if store is not None and (state := store.load(name)) is not None:
             self._arrays, self._kept = state.arrays, state.plain["kept"]
             self._saved = state.plain["generations"]
 
@@ -132,4 +133,4 @@ class Recorder:
         if self.store is not None and self.generations - self._saved >= every:
             self._saved = self.generations
             plain: Json = {"kept": self._kept, "generations": self.generations}
-            self.store.save(State("search", self._arrays, plain))
+            self.store.save(State("search", self._arrays, plain), self.name)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,9 +25,15 @@ from suspension_twin.errors import WorkError
 from suspension_twin.inference.checkpoint import Checkpoint
 from suspension_twin.inference.parallel import one_blas_thread
 from suspension_twin.inference.problem import Interrupted
+from suspension_twin.models.parameters import twin_value
 from suspension_twin.vehicle.twin import load_twin
 
 __all__ = ["calibrate"]
+
+#: Calibrations at most after the first, until the free lengths of springs are their own (a tolerance of numerics).
+_AGAIN = 2
+#: Difference of the slope from the free length on from the next one, as a share, that is none (a tolerance).
+_SAME_SLOPE = 0.1
 
 
 def calibrate(
@@ -71,10 +78,59 @@ def calibrate(
     report(Progress("reading", note="twin and road"))
     try:
         with one_blas_thread():
-            setup = set_up(request, lambda note: report(Progress("reading", note=note)), stop)
-            return solve(request, setup, report, stop, began)
+            return _calibrated(request, report, stop, began)
     except Interrupted:
         return unfinished(request, load_twin(request.twin), time.monotonic() - began)
+
+
+def _calibrated(
+    request: CalibrationRequest, report: Callable[[Progress], None], stop: Callable[[], bool], began: float
+) -> CalibrationResult:
+    """The calibration, once more where springs were driven out farther than the curve of the twin file lets them."""
+
+    def note(text: str) -> None:
+        report(Progress("reading", note=text))
+
+    setup = set_up(request, note, stop)
+    result = solve(request, setup, report, stop, began)
+    further: dict[str, float] = {}
+    for again in range(1, _AGAIN + 1):
+        off = _free_lengths(setup, result)
+        if not off:
+            break
+        further |= {axle: further.get(axle, 0.0) - x for axle, x in off.items()}
+        setup = set_up(request, note, stop, further)
+        better = solve(request, setup, report, stop, began, f"{again}")
+        if better.stopped:
+            return replace(result, stopped=True)
+        result = replace(better, evaluations=result.evaluations + better.evaluations)
+    longer = (
+        f"{axle} spring: its compression counts from a free length {1e3 * x:+.0f} mm off that of the twin file, which "
+        "the drives would else have taken for an end of its travel"
+        for axle, x in further.items()
+    )
+    return replace(result, warnings=(*result.warnings, *longer))
+
+
+def _free_lengths(setup: Setup, result: CalibrationResult) -> dict[str, float]:
+    """Compressions in m, by axle, at which the lowest slope that was found of a refined spring would end in no force,
+    where that is not the free length and the drives went below the first point.
+
+    Springs are found about the standing car, whose compression is the twin file's. Of a spring that is much softer than
+    that the segment from the free length on would be far stiffer than the spring.
+    """
+    found = {}
+    for curve in result.curves:
+        axle, _, part = curve.key.removeprefix("vehicle.").rpartition(".")
+        x, force = twin_value(result.twin, curve.key).points
+        if part != "spring" or x.size < 2 or not curve.span[0] < x[0]:
+            continue
+        end = float(x[0] - force[0] * (x[1] - x[0]) / (force[1] - force[0]))
+        if abs(end) > _SAME_SLOPE * x[0] and not np.array_equal(
+            x, twin_value(setup.original, curve.key).points[0]
+        ):
+            found[axle] = end
+    return found
 
 
 def solve(
@@ -83,10 +139,11 @@ def solve(
     on_progress: Callable[[Progress], None],
     stop: Callable[[], bool],
     began: float,
+    name: str = "",
 ) -> CalibrationResult:
-    """Search, then assess the result, on a problem that is set up."""
+    """Search, then assess the result, on a problem that is set up; ``name`` of the state that is kept of it."""
     store = Checkpoint(Path(request.state), fingerprint(request, setup)) if request.state else None
-    recorder = Recorder(request, setup, on_progress, stop, store)
+    recorder = Recorder(request, setup, on_progress, stop, store, name)
     problem = setup.problem
     aligned = setup.preset.synchronise or not setup.objective.is_least_squares
     quiet = np.zeros(len(problem.nuisances))

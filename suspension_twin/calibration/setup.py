@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -91,9 +91,14 @@ class Setup:
 
 
 def set_up(
-    request: CalibrationRequest, note: Callable[[str], None], should_stop: Callable[[], bool]
+    request: CalibrationRequest,
+    note: Callable[[str], None],
+    should_stop: Callable[[], bool],
+    further: Mapping[str, float] | None = None,
 ) -> Setup:
-    """Read, check and align everything; raises InputError that names the file or the drive."""
+    """Read, check and align everything; raises InputError that names the file or the drive.
+
+    ``further`` m, by axle, lie the points of refined springs beyond those of the twin file."""
     preset = preset_named(request.preset)
     given = load_twin(request.twin)
     original = with_effects(given, [*request.free, *request.also])
@@ -102,7 +107,7 @@ def set_up(
     named = [*request.free, *request.freeze, *(key for key, _, _ in request.bounds)]
     twin = with_table_2(original) if preset.table_2 else original
     if preset.refined and not request.free:
-        twin = refined(original, named)
+        twin = refined(original, named, further)
     bounds = {key: (low, high) for key, low, high in request.bounds}
     nuisances = [k for k in request.freeze if k.startswith("nuisances.")]
     priors = OF_A_CALIBRATION.without(nuisances)

@@ -90,8 +90,13 @@ def assess(setup: Setup, outcome: SearchOutcome, seed: int) -> Uncertainty:
     precision = problem.prior.precision
     d = len(problem.space)
     x, weighing, doubt = _best_fit(setup, problem, outcome, precision)
+
+    def around(x: Floats) -> Posterior:
+        where = _travel_at(setup, problem, x)
+        return posterior(problem, weighing, x, precision, where, seed, placed=outcome.placed, doubt=doubt)
+
     for _ in range(3):
-        found = posterior(problem, weighing, x, precision, _travel_at(setup, problem, x), seed, doubt=doubt)
+        found = around(x)
         if doubt is not None or found.better is None:
             break
         x = _polished(problem, weighing, found.better, precision, outcome.placed)
@@ -111,9 +116,7 @@ def assess(setup: Setup, outcome: SearchOutcome, seed: int) -> Uncertainty:
         )
         if held is not x:
             x = held
-            found = posterior(
-                problem, weighing, x, precision, _travel_at(setup, problem, x), seed, doubt=doubt
-            )
+            found = around(x)
     low, high = np.quantile(found.draws, INTERVAL, axis=1)
     # What is reported belongs to its interval, also where another objective found it at the end of a valley.
     reported = problem.space.from_slopes(x[:d, None])[:, 0]
@@ -201,7 +204,7 @@ def _settle(
     tested = identified & near & (coupled.sum(axis=1) == 1)
     if tested.any():
         other, more = held(kept | tested)
-        if more - squares < chdtri(int(tested.sum()), _LEVEL):
+        if blocks * np.log(more / squares) < chdtri(int(tested.sum()), _LEVEL):
             status, result = np.where(tested, "kept", status), other
     return status, absorbed, result
 

@@ -125,16 +125,23 @@ def posterior(
     where: Travel,
     seed: int,
     *,
+    placed: Floats,
     doubt: Floats | None = None,
 ) -> Posterior:
     """The posterior around ``x`` (d + q,), the best fit with a ``noise`` model and the prior ``precision``.
 
-    ``doubt`` (d + q,) is one more standard deviation, of all coordinates together.
+    ``placed`` (q,) is what the excitation holds of the nuisances; ``doubt`` (d + q,) is one more standard deviation, of
+    all coordinates together.
     """
     fit = problem.weighed(noise)
     at = fit.linearise(x)
-    residual, jacobian = at.residual, at.jacobian
+    jacobian = at.jacobian
     information = jacobian.T @ jacobian + precision
+    # scores belong to an optimum: where a search was cut short, that of the linearised problem
+    away = x - np.concatenate([problem.space.z0, -placed])
+    residual = at.residual - jacobian @ np.linalg.solve(
+        information, jacobian.T @ at.residual + precision @ away
+    )
     sample = noise.row if isinstance(noise, Whitener) else np.arange(residual.size) % len(problem.data.block)
     inverse = np.asarray(np.linalg.inv(information), dtype=np.float64)
     seconds = np.arange(residual.size) // max(8, int(_BLOCK_SECONDS * problem.measured.rate))
@@ -147,7 +154,7 @@ def posterior(
     root = np.linalg.cholesky(covariance[:d, :d] + 1e-14 * np.eye(d))
     scatter = np.einsum("ij,jn->in", root, rng.standard_normal((d, DRAWS)), optimize=False)
     middle = np.repeat(x[:d, None], DRAWS, axis=1)
-    cost = float(np.sum(residual**2)) + _penalty(problem, x[:d, None], precision)[0]
+    cost = float(np.sum(at.residual**2)) + _penalty(problem, x[:d, None], precision)[0]
     better: Floats | None = None
     for curve in problem.space.curves:
         if not curve.key.endswith("spring") or min(curve.rows) < 0:

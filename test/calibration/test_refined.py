@@ -15,11 +15,13 @@ from suspension_twin.calibration.presets import PRESETS, build_space, refined
 from suspension_twin.calibration.request import CalibrationRequest
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.calibration.setup import set_up
+from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.write import write_drive
 from suspension_twin.inference.simulated import simulate_drive
 from suspension_twin.inference.space import is_fine
 from suspension_twin.inference.synthetic import synthetic_drive
-from suspension_twin.road import write_road
+from suspension_twin.road import half_sine, write_road
+from suspension_twin.road.build import add_bump
 from suspension_twin.road.roughness import iso8608_road
 from suspension_twin.vehicle.twin import RoadFile, Twin, load_twin, save_twin
 
@@ -43,6 +45,46 @@ def test_a_refined_spring_is_the_same_curve(name: str) -> None:
         near = static + np.linspace(-0.07, 0.07, 29)
         assert force(fine, axle, near) == pytest.approx(force(twin, axle, near), rel=0.01)
     assert refined(fine) == fine
+
+
+def test_points_that_lie_further_out_are_the_same_spring_with_another_free_length(mondeo: Twin) -> None:
+    fine, further = refined(mondeo), refined(mondeo, further={"rear": 0.04})
+    assert further.vehicle.front == fine.vehicle.front
+    x, f = fine.vehicle.rear.spring.points
+    assert further.vehicle.rear.spring.points[0] == pytest.approx(x + 0.04)
+    assert further.vehicle.rear.spring.points[1] == pytest.approx(f)
+    assert further.axles["rear"].static_compression == pytest.approx(
+        fine.axles["rear"].static_compression + 0.04, abs=1e-6
+    )
+
+
+@pytest.mark.long
+def test_a_spring_far_softer_than_its_file_droops_as_far_as_it_does(mondeo: Twin, tmp_path: Path) -> None:
+    """Springs of the file are 2.5 times as stiff: their wheels hang free 7 cm below the standing car, those of the car
+    16 and 18 cm. What the drives show below is the spring, and no end of its travel."""
+    road = add_bump(iso8608_road("D", 160.0, seed=5, x=4.0, y=2.0, heading=0.3), half_sine(1.0, 0.12), 40.0)
+    write_road(road, tmp_path / "road.crg")
+    truth = mondeo.model_copy(update={"road": RoadFile(file=tmp_path / "road.crg")})
+    stiff = {
+        f"vehicle.{a}.spring.force": tuple(2.5 * f for f in truth.axles[a].part.spring.force) for a in AXLES
+    }
+    save_twin(truth.with_changes(stiff), tmp_path / "twin.yaml")
+    for name, seed in (("one", 1), ("two", 2)):
+        knots = [(0, 0), (3.2, 0), (6, 4.0), (12, 6.0), (16, 6.0), (18, 0), (19.5, 0)]
+        write_drive(synthetic_drive(truth, road, knots, seed=seed, name=name), tmp_path / name)
+    found = calibrate(CalibrationRequest(str(tmp_path / "twin.yaml"), (str(tmp_path / "one"),)))
+    assert sum("free length" in text for text in found.warnings) == 2
+    for axle in AXLES:
+        here, there = found.twin.axles[axle], truth.axles[axle]
+        assert here.static_compression == pytest.approx(there.static_compression, rel=0.25)
+        travel = np.linspace(-0.06, 0.03, 10)
+        own = force(found.twin, axle, here.static_compression + travel) - here.load
+        assert own == pytest.approx(
+            force(truth, axle, there.static_compression + travel) - there.load, rel=0.1, abs=40.0
+        )
+    unseen = read_drive(tmp_path / "two")
+    left = simulate_drive(unseen, found.twin, road).gap.rms
+    assert left < 1.3 * simulate_drive(unseen, truth, road).gap.rms
 
 
 def test_springs_that_are_named_stay_and_other_models_get_no_links(mondeo: Twin) -> None:

@@ -316,7 +316,7 @@ CAR, TWIN = "bags/bump_15kmh", "bags/bump_15kmh/twin.yaml"
     "arguments",
     [
         ["simulate", CAR, "--twin", TWIN, "--out", "OUT"],
-        ["calibrate", CAR, "--twin", TWIN, "--out", "OUT.yaml", "--preset", "fast", "--max-generations", "4"],
+        ["calibrate", CAR, "--twin", TWIN, "--out", "OUT.yaml", "--preset", "fast", "--max-generations", "1"],
         ["run", "--twin", TWIN, "--bag", CAR, "--rate", "max"],
         pytest.param(
             ["diagnose", CAR, "--twin", TWIN, "--out", "OUT", "--effect", "strut_friction"],

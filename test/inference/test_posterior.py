@@ -119,7 +119,10 @@ def asked(
     problem: Any = Straight(space, precision.shape[0] - len(space), rate, fails)
     problem.data = SimpleNamespace(block=np.arange(len(lines.a)) // int(RATE))
     at = lines.centre if x is None else x
-    return posterior(problem, lines, at, precision, where or standing(), options.pop("seed", 1), **options)
+    placed = np.zeros(precision.shape[0] - len(space))
+    return posterior(
+        problem, lines, at, precision, where or standing(), options.pop("seed", 1), placed=placed, **options
+    )
 
 
 def some_precision(rng: np.random.Generator, size: int) -> np.ndarray:
@@ -161,9 +164,10 @@ def test_where_the_scores_of_blocks_scatter_more_it_is_their_sandwich(corner: Tw
     found = asked(space, lines, precision)
 
     plain = np.linalg.inv(lines.a.T @ lines.a + precision)
+    left = (lines.noise - lines.a @ plain @ lines.a.T @ lines.noise).reshape(blocks, size)
     scores = [
         own.T @ fractional_matrix_power(np.eye(size) - own @ plain @ own.T, -0.5) @ off
-        for own, off in zip(a, noise, strict=True)
+        for own, off in zip(a, left, strict=True)
     ]
     sandwich = plain @ (sum(np.outer(g, g) for g in scores) + precision) @ plain
     deviation = np.sqrt(np.maximum(np.diag(plain), np.diag(sandwich)))
@@ -173,6 +177,18 @@ def test_where_the_scores_of_blocks_scatter_more_it_is_their_sandwich(corner: Tw
         found.covariance, correlation * np.outer(deviation, deviation), rtol=1e-5, atol=1e-12
     )
     np.testing.assert_array_equal(found.covariance, found.covariance.T)
+
+
+def test_scores_are_those_of_the_optimum_wherever_the_search_stopped(corner: Twin) -> None:
+    """Residuals that are linear in the coordinates have one covariance, at the optimum and far from it."""
+    space, rng = space_of(corner, (*DAMPER, *MASS)), np.random.default_rng(8)
+    blocks, size = 12, int(RATE)
+    a = rng.standard_normal((blocks * size, len(space) + 2))
+    noise = np.repeat(rng.standard_normal(blocks), size)
+    lines = Lines(a, np.concatenate([space.z0, [0.1, -0.1]]), noise)
+    precision = some_precision(rng, len(space) + 2)
+    near, far = (asked(space, lines, precision, lines.centre + step) for step in (0.0, 0.1))
+    np.testing.assert_allclose(far.covariance, near.covariance, rtol=1e-5, atol=1e-9)
 
 
 def test_residuals_that_repeat_within_a_second_count_once(corner: Twin) -> None:
@@ -459,7 +475,9 @@ def test_of_a_simulated_corner(corner: Twin, run_problem: Problem) -> None:
     d = len(problem.space)
     x = np.concatenate([problem.space.z0, np.zeros(len(problem.nuisances))])
     precision = np.diag([*[4.0] * d, *problem.nuisances.spread**-2.0])
-    found = posterior(problem, Scaled(), x, precision, travel(corner, problem), 1)
+    found = posterior(
+        problem, Scaled(), x, precision, travel(corner, problem), 1, placed=np.zeros(len(x) - d)
+    )
     jacobian = problem.weighed(Scaled()).linearise(x).jacobian
     plain = np.linalg.inv(jacobian.T @ jacobian + precision)
     ratio = np.diag(found.covariance) / np.diag(plain)
