@@ -70,7 +70,7 @@ def test_it_draws_the_car_where_it_is_in_every_frame(repository, tmp_path):
                 out.publish(message)
             time.sleep(0.1)
             mirror.send_signal(signal.SIGINT)
-            _, errors = mirror.communicate(timeout=10.0)
+            _, errors = mirror.communicate(timeout=60.0)
         finally:
             mirror.kill()
             node.destroy_node()
