@@ -12,7 +12,6 @@ import asyncio
 import base64
 import contextlib
 import math
-import time
 from collections.abc import Sequence
 from typing import Final
 
@@ -32,6 +31,7 @@ _PORT: Final = 2101
 _PATIENCE: Final = 30.0  # s without a byte after which the connection is made anew
 _HEAD: Final = 8192  # bytes of the caster's answer
 _EVERY: Final = 10.0  # s between two positions for the caster
+_LOOK: Final = 0.5  # s between two looks whether there is a position
 
 
 class Ntrip(PlainSource):
@@ -70,15 +70,14 @@ class Ntrip(PlainSource):
     async def _session(self) -> None:
         host, port = self._address.host, self._address.port or _PORT
         reader, writer = await asyncio.wait_for(asyncio.open_connection(host, port, limit=_HEAD), _PATIENCE)
+        positions: asyncio.Task[None] | None = None
         try:
             writer.write(self._request(host, port))
             chunked = await asyncio.wait_for(self._answer(reader), _PATIENCE)
             self._hub.notify("ok", f"connection {self._name}", f"{self._name}: corrections come")
-            next_position, begun = 0.0, chunked
+            begun = chunked
+            positions = asyncio.create_task(self._send_positions(writer))
             while True:
-                if self._gga and time.monotonic() > next_position and (sentence := _gga(self._hub)):
-                    writer.write(sentence)
-                    next_position = time.monotonic() + _EVERY
                 data = await asyncio.wait_for(_part(reader, chunked), _PATIENCE)
                 if not data:
                     raise EOFError("the caster has closed the connection")
@@ -88,9 +87,19 @@ class Ntrip(PlainSource):
                 for corrector in self._hub.correctors:
                     corrector(data)
         finally:
+            if positions is not None:
+                positions.cancel()
             writer.close()
             with contextlib.suppress(OSError, asyncio.TimeoutError):
                 await asyncio.wait_for(writer.wait_closed(), 1.0)
+
+    async def _send_positions(self, writer: asyncio.StreamWriter) -> None:
+        """Tell the caster the position, the first as soon as it is known: some send nothing before."""
+        while self._gga:
+            sentence = _gga(self._hub)
+            if sentence:
+                writer.write(sentence)
+            await asyncio.sleep(_EVERY if sentence else _LOOK)
 
     def _request(self, host: str, port: int) -> bytes:
         lines = [

@@ -20,16 +20,21 @@ PARTS = [b"\xd3\x00" + bytes([number] * 90) for number in range(20)]
 
 
 def correct(
-    caster: Caster, until, url: str = "ntrip://user:secret@127.0.0.1:1/NEAR", drive: Drive | None = None
+    caster: Caster,
+    until,
+    url: str = "ntrip://user:secret@127.0.0.1:1/NEAR",
+    drive: Drive | None = None,
+    connected: bool = False,
 ):
-    """A receiver that is corrected until ``until(port, taken)``; the port and what was heard."""
+    """A receiver that is corrected until ``until(port, taken)``; the port and what was heard. ``connected``: the drive
+    begins once the caster is there."""
     port = Port()
 
     async def play(sources, taken) -> None:
         async with caster:
             sources[1]._address = replace(sources[1]._address, port=caster.port)
             if drive is not None:
-                while sources[0]._stream is None:
+                while sources[0]._stream is None or (connected and not caster.connections):
                     await asyncio.sleep(0.01)
                 await port.play(nmea_epochs(drive)[:5])
             while not until(port, taken):
@@ -65,6 +70,13 @@ def test_the_caster_is_told_the_position(bump: Drive) -> None:
     assert float(fields[4][:3]) + float(fields[4][3:]) / 60.0 == pytest.approx(
         bump.fix.longitude[4], abs=1e-6
     )
+
+
+def test_a_caster_that_sends_nothing_before_a_position_gets_one(bump: Drive) -> None:
+    """A virtual reference station has no corrections before it knows where."""
+    caster = Caster([])
+    correct(caster, lambda _port, _taken: caster.positions, drive=bump, connected=True)
+    assert caster.connections == 1
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ __all__ = ["SourceLoop", "SourceThread", "running"]
 
 #: s before a source that has failed is run again.
 _AGAIN = 1.0
+_STOPPED = 1.0  # s after which a source that goes on is told again to end
 
 
 @asynccontextmanager
@@ -30,9 +31,11 @@ async def running(sources: Sequence[LiveSource], hub: Hub) -> AsyncIterator[None
         tasks = [asyncio.create_task(_keep_running(source, hub)) for source in sources]
         yield
     finally:
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        # once is not enough: until Python 3.12 asyncio.wait_for may lose a cancellation to a result that comes with it
+        while pending := [task for task in tasks if not task.done()]:
+            for task in pending:
+                task.cancel()
+            await asyncio.wait(pending, timeout=_STOPPED)
         for source in sources:
             with contextlib.suppress(Exception):
                 await source.stop()
