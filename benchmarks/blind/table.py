@@ -18,6 +18,8 @@ from blind.score import Row, figures, row_of
 RESULTS = ROOT / "benchmarks" / "results"
 _TITLES = {
     "top1": "top-1 (named and first)",
+    "sure_or_suspected": "sure or suspected, and first",
+    "suspected_wrong": "suspected and wrong",
     "top1_ranked": "ranked first, whatever the verdict",
     "top3": "among the first three",
     "lowest_effect": "lowest top-1 of an effect",
@@ -26,7 +28,8 @@ _TITLES = {
     "faint_named_right": "below 1.5 floors: named rightly",
     "faint_named_wrong": "below 1.5 floors: named wrongly",
     "false_alarms": "null: a cause named",
-    "null_no_gap": "null: no gap",
+    "null_no_gap": "null: no gap or recalibration",
+    "null_suspected": "null: a cause suspected",
     "unknown_outside": "outside the library: unknown",
     "unknown_excluded": "taken out of the library: unknown",
     "unknown_or_partly": "both: unknown or partly",

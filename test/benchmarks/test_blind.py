@@ -518,9 +518,10 @@ def test_parameters_are_compared_where_label_and_answer_mean_the_same() -> None:
     }
 
 
-def test_the_picture_is_drawn(tmp_path: Path) -> None:
+def test_the_table_and_the_picture_are_drawn(tmp_path: Path) -> None:
     from blind.picture import draw
     from blind.score import figures
+    from blind.table import text_of
 
     rows = [
         _row("single", ["payload"], "effect", "payload", 0.95),
@@ -529,5 +530,7 @@ def test_the_picture_is_drawn(tmp_path: Path) -> None:
     rows.append({**_row("single", ["top_mount"], "error", "", 0.0), "chances": {}, "top": None})
     assert figures(rows)["figures"]["failed"]["value"] == pytest.approx(1 / 3)
     result = {**figures(rows), "cases": 2, "seeds": "dev", "commit": ["abc"]}
+    text = text_of({**result, "planned": 3})
+    assert "null: a cause suspected" in text and len(text.splitlines()) > len(result["figures"])
     draw(rows, result, tmp_path / "made" / "confusion.png")
     assert (tmp_path / "made" / "confusion.png").read_bytes().startswith(b"\x89PNG")
