@@ -98,12 +98,14 @@ def _calibrated(
         off = _free_lengths(setup, result)
         if not off:
             break
-        further |= {axle: further.get(axle, 0.0) - x for axle, x in off.items()}
-        setup = set_up(request, note, stop, further)
-        better = solve(request, setup, report, stop, began, f"{again}")
-        if better.stopped:
+        moved = further | {axle: further.get(axle, 0.0) - x for axle, x in off.items()}
+        setup = set_up(request, note, stop, moved)
+        other = solve(request, setup, report, stop, began, f"{again}")
+        if other.stopped:
             return replace(result, stopped=True)
-        result = replace(better, evaluations=result.evaluations + better.evaluations)
+        if other.cost >= result.cost:  # what ends there is no spring of another length
+            break
+        further, result = moved, replace(other, evaluations=result.evaluations + other.evaluations)
     longer = (
         f"{axle} spring: its compression counts from a free length {1e3 * x:+.0f} mm off that of the twin file, which "
         "the drives would else have taken for an end of its travel"
