@@ -30,9 +30,11 @@ from suspension_twin.vehicle.twin import load_twin
 
 __all__ = ["calibrate"]
 
-#: Calibrations at most after the first, until the free lengths of springs are their own (a tolerance of numerics).
+#: Calibrations at most after the first, until the free lengths of springs are their own: a tolerance of numerics, two
+#: published trucks needed one and two.
 _AGAIN = 2
-#: Difference of the slope from the free length on from the next one, as a share, that is none (a tolerance).
+#: Difference of the slope from the free length on from the next one, as a share, that is none: a tolerance of numerics,
+#: of the size of the springs' own errors on those trucks.
 _SAME_SLOPE = 0.1
 
 
@@ -95,12 +97,17 @@ def _calibrated(
     result = solve(request, setup, report, stop, began)
     further: dict[str, float] = {}
     for again in range(1, _AGAIN + 1):
-        off = _free_lengths(setup, result)
+        off = _free_lengths(setup, result) if setup.preset.refined else {}
         if not off:
             break
         moved = further | {axle: further.get(axle, 0.0) - x for axle, x in off.items()}
-        setup = set_up(request, note, stop, moved)
-        other = solve(request, setup, report, stop, began, f"{again}")
+        try:
+            setup = set_up(request, note, stop, moved)
+            other = solve(request, setup, report, stop, began, f"{again}")
+        except Interrupted:
+            return replace(result, stopped=True)
+        except WorkError:
+            break
         if other.stopped:
             return replace(result, stopped=True)
         if other.cost >= result.cost:  # what ends there is no spring of another length

@@ -31,7 +31,7 @@ _PORT: Final = 2101
 _PATIENCE: Final = 30.0  # s without a byte after which the connection is made anew
 _HEAD: Final = 8192  # bytes of the caster's answer
 _EVERY: Final = 10.0  # s between two positions for the caster
-_LOOK: Final = 0.5  # s between two looks whether there is a position
+_LOOK: Final = 0.5  # s between two looks whether there is a position: a tolerance, below a receiver's second
 
 
 class Ntrip(PlainSource):

@@ -18,7 +18,8 @@ __all__ = ["SourceLoop", "SourceThread", "running"]
 
 #: s before a source that has failed is run again.
 _AGAIN = 1.0
-_STOPPED = 1.0  # s after which a source that goes on is told again to end
+#: s after which a source that goes on is told again to end: a tolerance, as long as one may take to close.
+_STOPPED = 1.0
 
 
 @asynccontextmanager
