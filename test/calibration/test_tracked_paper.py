@@ -146,7 +146,7 @@ def test_a_candidate_that_cannot_be_is_the_worst_and_not_the_end(
 
 @pytest.mark.long
 def test_fast_fits_every_run_and_says_what_it_identified(file: str, runs: tuple[str, str, str]) -> None:
-    result = calibrate(CalibrationRequest(file, runs[:2], max_generations=1))
+    result = calibrate(CalibrationRequest(file, runs[:2], max_generations=6))
     assert set(KEYS) < {e.key for e in result.estimates}
     assert "vehicle.gyration" in {e.key for e in result.estimates}
     assert result.cost < result.initial_cost and len(result.drives) == 2
