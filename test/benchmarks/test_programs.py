@@ -112,6 +112,7 @@ def marked(name: str) -> Any:
 
 
 @pytest.mark.parametrize("name", [marked(name) for name in TABLES])
+@pytest.mark.long
 def test_it_runs_to_its_end(name: str, repository: Path, tmp_path: Path) -> None:
     """Exit status 2 and one line say what is not on this machine."""
     arguments = ARGUMENTS.get(name, "").format(out=tmp_path / "out").split()

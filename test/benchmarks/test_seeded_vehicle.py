@@ -71,6 +71,7 @@ def test_a_load_behind_lets_the_car_lean_back_and_changes_no_weight(
 
 
 @pytest.mark.parametrize("effect", ["strut_friction", "loose_ball_joint"])
+@pytest.mark.long
 def test_parameters_give_the_share_that_is_asked_for(vehicle: ModuleType, source: Path, effect: str) -> None:
     _, truth, _ = vehicle._world(source, DRIVE)
     faults = vehicle.faults_of(effect, 0.3, source, DRIVE, 7)

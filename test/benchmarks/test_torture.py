@@ -22,6 +22,7 @@ def run(repository: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.long
 def test_it_goes_on_where_it_ended(repository: Path, tmp_path: Path) -> None:
     out = tmp_path / "torture.json"
     first = run(repository, "--only", "numerics", "--minutes", "0", "--out", str(out), "--json")

@@ -115,6 +115,7 @@ def test_far_from_the_road(rough_case: Any, drive: Drive, calibrated: Run) -> No
     )
 
 
+@pytest.mark.long
 def test_on_another_road_at_the_same_place(rough_case: Any, calibrated: Any, tmp_path: Path) -> None:
     write_road(iso8608_road("C", 140.0, seed=77, x=4.0, y=2.0, heading=0.3), tmp_path / "other.crg")
     twin = yaml.safe_load(Path(rough_case.twin).read_text())

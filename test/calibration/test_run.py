@@ -189,6 +189,7 @@ def test_an_inertia_that_starts_right_is_kept_and_one_that_starts_wrong_is_not(
     assert pitch.status == "identified" and pitch.value == pytest.approx(2600.0, rel=0.03)
 
 
+@pytest.mark.long
 def test_passes_over_one_bump_are_held_out_whole(pass_case: Any, tmp_path: Path) -> None:
     """The road without its bump shows nothing of it; a single pass leaves nothing to predict it from."""
     alone = calibrate(CalibrationRequest(pass_case.twin, (pass_case.bag("pass"),)))
@@ -476,6 +477,7 @@ def interrupted_everywhere(request: CalibrationRequest, every: int) -> tuple[Cal
         ("fast", {"max_generations": 4}),
     ],
 )
+@pytest.mark.long
 def test_killed_again_and_again_it_ends_with_the_same_bits(
     pass_case: Any, tmp_path: Path, preset: str, asked: dict[str, Any]
 ) -> None:

@@ -110,6 +110,7 @@ def test_the_slowest_run_is_fitted_and_the_others_validate(found: CalibrationRes
     assert after > 0.95
 
 
+@pytest.mark.long
 def test_the_search_is_repeatable_and_stops_with_the_best_so_far(
     file: str, runs: tuple[str, str, str]
 ) -> None:
@@ -131,6 +132,7 @@ def test_the_search_is_repeatable_and_stops_with_the_best_so_far(
     assert none.stopped and none.estimates == ()
 
 
+@pytest.mark.long
 def test_a_candidate_that_cannot_be_is_the_worst_and_not_the_end(
     file: str, runs: tuple[str, str, str]
 ) -> None:
@@ -158,6 +160,7 @@ def test_fast_fits_every_run_and_says_what_it_identified(file: str, runs: tuple[
     assert units == {"clock_offset": "s", "speed": ""}
 
 
+@pytest.mark.long
 def test_a_late_camera_is_the_runs_clock(file: str, runs: tuple[str, str, str], tmp_path: Path) -> None:
     header, *lines = Path(runs[0]).read_text(encoding="utf-8").splitlines()
     table = np.loadtxt(lines, delimiter=",")

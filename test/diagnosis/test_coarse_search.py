@@ -31,6 +31,7 @@ SOME = ("time_offset", "sensor_tilt", "position_offset", "corner_spring")
     ],
     ids=["late", "elsewhere", "sideways"],
 )
+@pytest.mark.long
 def test_a_gross_fault_is_named_with_its_size(
     make: Any, effect: str, given: dict[str, float], exact: float
 ) -> None:

@@ -91,6 +91,7 @@ def test_friction_is_found_with_its_size_and_the_written_twin_closes_the_gap(
     assert after.rms < 0.4 * before.rms
 
 
+@pytest.mark.long
 def test_friction_beyond_that_of_a_calibrated_file_is_no_wrong_number_of_it(make: Any, car: Twin) -> None:
     """What a fault adds to an optional part is named, with its size; the part itself stays as the file has it."""
     known = refined(car).with_changes({f"vehicle.{axle}.friction": 15.0 for axle in car.axles})
@@ -101,6 +102,7 @@ def test_friction_beyond_that_of_a_calibrated_file_is_no_wrong_number_of_it(make
     assert not [r for r in found.document["recalibrated"] if "friction" in r["characteristic"]]
 
 
+@pytest.mark.long
 def test_a_late_clock_is_found_without_a_reference(make: Any) -> None:
     document = diagnose(ask(make("time_offset", {"offset": 0.06}))).document
     check(document)
@@ -109,6 +111,7 @@ def test_a_late_clock_is_found_without_a_reference(make: Any) -> None:
     assert lead["parameters"]["offset"] == pytest.approx(0.06, abs=0.01)
 
 
+@pytest.mark.long
 def test_wrong_characteristics_alone_are_recalibrated_and_twice_the_same(
     make: Any, car: Twin, tmp_path: Path
 ) -> None:
@@ -141,6 +144,7 @@ def test_wrong_characteristics_alone_are_recalibrated_and_twice_the_same(
     assert "What recalibration changes" in text
 
 
+@pytest.mark.long
 def test_a_healthy_twin_is_handed_back_as_it_came(make: Any, car: Twin, tmp_path: Path) -> None:
     twin, bags, _ = make()
     sound = load_twin(twin).with_changes({"vehicle.front.damper_push.force": [230.0, 480.0, 700.0, 810.0]})
@@ -157,6 +161,7 @@ def test_a_healthy_twin_is_handed_back_as_it_came(make: Any, car: Twin, tmp_path
     assert (tmp_path / "twin.yaml").read_bytes() == given.read_bytes()
 
 
+@pytest.mark.long
 def test_a_clock_offset_that_the_twin_file_has_is_none(make: Any, tmp_path: Path) -> None:
     """Without it in the file 60 ms are named as a clock offset, as another test shows."""
     twin, bags, _ = make()
@@ -170,6 +175,7 @@ def test_a_clock_offset_that_the_twin_file_has_is_none(make: Any, tmp_path: Path
     assert "time_offset" not in document["combination"]
 
 
+@pytest.mark.long
 def test_a_diagnosis_goes_on_with_one_drive_more(
     make: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -208,6 +214,7 @@ def test_what_only_a_decoy_explains_is_unknown_unless_it_is_asked_for(make: Any)
     assert named["verdict"] == "effect" and named["combination"] == ["progressive_spring"]
 
 
+@pytest.mark.long
 def test_a_narrow_resonance_against_the_bodys_motion_is_found(make: Any) -> None:
     """Far from where such modes usually are, and of the other sign: starts here and there miss it."""
     truth = {"gain": -0.25, "frequency": 10.0, "damping_ratio": 0.03}
@@ -240,6 +247,7 @@ def test_a_shaking_engine_is_found_on_a_road_that_shakes_nothing(car: Twin, tmp_
     assert lead["parameters"]["force"] == pytest.approx(100.0, rel=0.1)
 
 
+@pytest.mark.long
 def test_a_little_tilt_under_a_high_antenna_is_no_map_that_lies_ahead(make: Any, car: Twin) -> None:
     """2.6° of a sensor's lean, taken for the vehicle's, put the antenna and with it the car 7 cm elsewhere."""
     high = car.model_copy(update={"gps": car.gps.model_copy(update={"position": (0.0, 0.0, 1.5)})})
@@ -250,6 +258,7 @@ def test_a_little_tilt_under_a_high_antenna_is_no_map_that_lies_ahead(make: Any,
     assert document["causes"][0]["probability"] > 0.6
 
 
+@pytest.mark.long
 def test_a_sensor_that_is_turned_far_is_named_and_pushes_no_vehicle(make: Any) -> None:
     """By 14° of yaw a quarter of the braking is felt as a push to the side: no body rolls by that."""
     truth = {"roll": -0.05, "pitch": 0.12, "yaw": 0.25}
@@ -262,6 +271,7 @@ def test_a_sensor_that_is_turned_far_is_named_and_pushes_no_vehicle(make: Any) -
     assert document["unexplained"] < 0.28  # 0.35 if the vehicle were pushed
 
 
+@pytest.mark.long
 def test_an_effect_that_no_step_leads_to_from_the_baseline_is_tried_on_the_vehicle_of_the_file(
     make: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -318,6 +328,7 @@ def test_two_causes_are_named_together_and_nothing_has_to_tell_them_apart(make: 
     assert document["next_experiment"].startswith("No further drive is needed to separate candidates.")
 
 
+@pytest.mark.long
 def test_what_a_converter_cuts_off_is_compared(make: Any, tmp_path: Path) -> None:
     """Samples at the end of the range are left out where a twin is calibrated: here they are the evidence."""
     twin, whole, _ = make()

@@ -22,6 +22,7 @@ from suspension_twin.inference.fit import Fit
 from suspension_twin.inference.hypothesis import Hypothesis
 
 
+@pytest.mark.long
 def test_killed_and_started_again_it_ends_with_the_same_bits(
     make: Any, tmp_path: Path, repository: Path
 ) -> None:

@@ -20,6 +20,7 @@ def resonance(x: np.ndarray, hertz: float, damping: float) -> np.ndarray:
 
 
 @given(st.floats(3.0, 16.0), st.floats(0.02, 0.06), st.integers(0, 1000))
+@pytest.mark.long
 def test_a_resonance_is_located_within_a_sixth_of_an_octave(hertz: float, damping: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     drives = [

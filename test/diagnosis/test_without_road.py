@@ -59,6 +59,7 @@ def test_tilt_and_clock_of_a_real_roof_imu_are_named(
     assert any("names no road" in w for w in document["warnings"])
 
 
+@pytest.mark.long
 def test_every_cause_comes_once_and_all_probabilities_are_one(
     shared_data: Path, repository: Path, car: Twin, tmp_path: Path
 ) -> None:
@@ -82,6 +83,7 @@ def test_every_cause_comes_once_and_all_probabilities_are_one(
     assert total == pytest.approx(1.0, abs=1e-3)
 
 
+@pytest.mark.long
 def test_what_no_prior_expects_has_its_true_size(
     shared_data: Path, repository: Path, car: Twin, tmp_path: Path
 ) -> None:
@@ -104,6 +106,7 @@ def test_what_no_prior_expects_has_its_true_size(
     assert document["causes"][0]["parameters"]["drift_ppm"] == pytest.approx(8000.0, rel=0.1)
 
 
+@pytest.mark.long
 def test_a_reference_whose_motion_is_hardly_above_its_noise_is_no_reason_to_refuse(
     shared_data: Path, repository: Path, car: Twin, tmp_path: Path
 ) -> None:

@@ -92,6 +92,7 @@ def test_no_section_has_more_than_ten_lines_of_prose(repository: Path) -> None:
 @pytest.mark.parametrize(
     "name", [PLUGIN, *(pytest.param(name, marks=pytest.mark.long) for name in STEPS if name != PLUGIN)]
 )
+@pytest.mark.long
 def test_the_steps_add_it(name: str, repository: Path, copy: Path) -> None:
     followed(sections(repository)[name], copy)
 

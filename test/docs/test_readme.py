@@ -244,6 +244,7 @@ def test_the_fleet_commands_take_their_arguments(command, tmp_path, monkeypatch,
 
 
 @pytest.mark.parametrize("command", [c for c in OURS if is_live(c)])
+@pytest.mark.long
 def test_the_live_commands_run_until_they_are_asked_to_end(command, workspace):
     process = subprocess.Popen(
         ours(command),

@@ -206,6 +206,7 @@ def test_a_position_at_an_hour_that_no_day_has(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(sys.version_info < (3, 11), reason="no mat-io for Python 3.10")
+@pytest.mark.long
 def test_a_matlab_file_that_unpacks_or_declares_too_much(tmp_path: Path) -> None:
     packed = zlib.compress(bytes(200 * MIB), 9)
     v5, v73 = tmp_path / "v5.mat", tmp_path / "v73.mat"

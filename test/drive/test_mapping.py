@@ -308,6 +308,7 @@ MDF_MAP = {
 }
 
 
+@pytest.mark.long
 def test_an_mdf_file_by_its_channels(tmp_path: Path) -> None:
     _measurement(tmp_path / "bench.mf4")
     (tmp_path / "map.yaml").write_text(yaml.safe_dump(MDF_MAP))

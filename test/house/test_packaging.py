@@ -216,6 +216,7 @@ def test_colcon_lists_both_packages(repository: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("options", [[], ["--symlink-install"]], ids=["copied", "symlinked"])
+@pytest.mark.long
 def test_colcon_builds_the_package(
     options: list[str], repository: Path, tracked: list[Path], tmp_path: Path
 ) -> None:

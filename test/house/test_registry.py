@@ -175,6 +175,7 @@ def with_kernel_term(folder: Path, repository: Path) -> None:
     (folder / "square" / "term.py").write_text(textwrap.dedent(TERM))
 
 
+@pytest.mark.long
 def test_machine_code_is_kept_apart_by_the_source_of_a_plugin(tmp_path: Path, repository: Path) -> None:
     with_kernel_term(tmp_path, repository)
     code = (
@@ -190,6 +191,7 @@ def test_machine_code_is_kept_apart_by_the_source_of_a_plugin(tmp_path: Path, re
     assert run("-c", code, folder=tmp_path).stdout != before.stdout
 
 
+@pytest.mark.long
 def test_the_term_of_a_plugin_acts_in_the_kernel(tmp_path: Path, repository: Path, monkeypatch) -> None:
     """Interpreted, for compiling takes minutes: the one function that numba gives to compiled code alone is fma."""
     monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
@@ -269,6 +271,7 @@ def core(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.long
 def test_the_core_imports_without_the_add_ons(core: Path) -> None:
     names = [
         ".".join(path.relative_to(core).with_suffix("").parts).removesuffix(".__init__")
@@ -325,6 +328,7 @@ CAR, TWIN = "bags/bump_15kmh", "bags/bump_15kmh/twin.yaml"
     ],
     ids=lambda arguments: arguments[0],
 )
+@pytest.mark.long
 def test_the_core_works_without_the_add_ons(hidden: Path, tmp_path: Path, arguments: list[str]) -> None:
     given = [a.replace("OUT", str(tmp_path / "out")) for a in arguments]
     done = run("-m", "suspension_twin", *given, folder=hidden)

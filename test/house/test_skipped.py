@@ -9,6 +9,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 SKIPPING = """
 import pytest
 
@@ -30,6 +32,7 @@ WITHOUT = [
 ]
 
 
+@pytest.mark.long
 def test_it_is_one_line(repository: Path, tmp_path: Path) -> None:
     (tmp_path / "test_some.py").write_text(SKIPPING.format(reasons=WITHOUT))
     shutil.copy(repository / "test" / "conftest.py", tmp_path)

@@ -17,6 +17,7 @@ def files(repository: Path) -> tuple[str, list[str]]:
     return str(folder / "pt91.yaml"), [str(folder / "runs" / f"13kmh_{i}.csv") for i in (1, 2)]
 
 
+@pytest.mark.long
 def test_calibrate_writes_a_twin_and_a_page(files: tuple[str, list[str]], tmp_path: Path, capsys) -> None:
     twin, runs = files[0], [str(tmp_path / Path(path).name) for path in files[1]]
     for path, short in zip(

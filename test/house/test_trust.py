@@ -127,6 +127,7 @@ def opened(repository: Path) -> list[tuple[str, str]]:
     return found
 
 
+@pytest.mark.long
 def test_only_files_py_opens_a_path(repository: Path) -> None:
     found = [
         f"{name}: {call}"

@@ -77,6 +77,7 @@ def test_the_limit_is_half_the_shortest_wave(twin: Twin) -> None:
         assert is_open(observe(phone(drive, twin, 0.0, sigma), twin, BUMP)) is wanted
 
 
+@pytest.mark.long
 def test_a_bump_of_another_road_is_not_placed(twin: Twin) -> None:
     """Felt is a bump; on the road of the file there is none: the pass is not compared."""
     from suspension_twin.errors import WorkError

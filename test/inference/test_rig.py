@@ -256,6 +256,7 @@ def test_four_measured_hubs_drive_a_car(repository: Path, tmp_path: Path, given:
         assert rms > 5.0 * result.gap.channels[name], name
 
 
+@pytest.mark.long
 def test_a_car_on_its_hubs_is_calibrated(repository: Path, tmp_path: Path) -> None:
     """Springs, dampers and the place of the sensor are found from one run."""
     true, start = on_hubs(repository), tmp_path / "twin.yaml"

@@ -115,6 +115,7 @@ def rms(x: Any) -> Any:
         ("stiff", 8.0, 0.0, -2.0),
     ],
 )
+@pytest.mark.long
 def test_every_acceleration_within_half_a_per_cent(
     request: Any, drive: Any, rough: Any, car: str, speed: float, yaw_rate: float, ax: float
 ) -> None:

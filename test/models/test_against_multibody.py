@@ -73,6 +73,7 @@ def test_what_is_left_is_named_by_evidence(figures: dict[str, Any]) -> None:
             assert rows[f"{axle} tyres: left by a linear spring along the normal"] < 0.6 * upright, name
 
 
+@pytest.mark.long
 def test_a_missing_truth_is_named(tmp_path: Path) -> None:
     script = str(ROOT / "benchmarks" / "multibody.py")
     run = subprocess.run(

@@ -74,6 +74,7 @@ def start(house: Path, **places: str) -> tuple[float, int]:
     return value, hits
 
 
+@pytest.mark.long
 def test_a_change_in_another_file_is_noticed_and_a_touch_or_a_copy_is_not(house: Path) -> None:
     assert start(house) == (2.0, 0)
     os.utime(house / "kernel.py", (1e9, 1e9))
@@ -97,6 +98,7 @@ def test_code_of_older_sources_is_deleted_when_nothing_has_used_it_for_a_month(h
     assert {"house.kernel.recent", "house.other.old"} < left
 
 
+@pytest.mark.long
 def test_without_a_writable_package_the_users_folder_is_taken_and_without_that_none(house: Path) -> None:
     places = {"XDG_CACHE_HOME": str(house.parent / "user")}
     assert start(house, **places) == (2.0, 0)

@@ -24,6 +24,7 @@ from suspension_twin_interfaces.srv import LoadTwin
 
 
 @pytest.mark.parametrize("kind", [SuspensionModelNode, ImuIngestNode, PoseInjectorNode, CalibratorNode])
+@pytest.mark.long
 def test_a_node_answers_while_a_slow_file_is_read(bench, twin_path, monkeypatch, kind):
     node = bench.make(kind, twin=str(twin_path))
     released = threading.Event()

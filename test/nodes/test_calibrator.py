@@ -55,6 +55,7 @@ def test_the_sensor_is_kept_where_the_node_says_so(bench, goal, keep):
     assert client.result(client.send(goal))[1].message == f"keep_sensor={keep}"
 
 
+@pytest.mark.long
 def test_while_it_works_the_node_answers_refuses_a_second_goal_and_cancels_at_once(bench, goal):
     node = bench.make(CalibratorNode, {"calibrate": search_until_stopped})
     client = Client(bench, Calibrate, "calibrate")
@@ -94,6 +95,7 @@ def test_while_it_works_the_node_answers_refuses_a_second_goal_and_cancels_at_on
     assert client.result(client.send(goal))[0] == GoalStatus.STATUS_SUCCEEDED
 
 
+@pytest.mark.long
 def test_goals_wait_for_their_turn_where_the_node_says_so(bench, goal):
     node = bench.make(
         CalibratorNode, {"calibrate": search_until_stopped}, waiting_goals=2, cancel_patience=60.0
@@ -133,6 +135,7 @@ def test_a_goal_waits_until_its_client_can_hear_the_answer(bench, goal, monkeypa
     assert client.result(asked.result())[0] == GoalStatus.STATUS_SUCCEEDED
 
 
+@pytest.mark.long
 def test_a_client_that_never_hears_an_answer_stops_the_others_until_its_goal_ends(bench, goal, recwarn):
     node = bench.make(CalibratorNode, {"calibrate": five_generations})
     client = Client(bench, Calibrate, "calibrate")
@@ -157,6 +160,7 @@ def _slowness() -> float:
     return max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
 
 
+@pytest.mark.long
 def test_work_that_fails_is_told_in_a_line_and_the_next_goal_is_taken(bench, goal):
     node = bench.make(CalibratorNode, {"calibrate": cannot})
     client = Client(bench, Calibrate, "calibrate")
@@ -321,6 +325,7 @@ def test_a_worker_that_never_looks_up_ends_with_its_parent(tmp_path):
     assert took < 40.0  # the work alone would take 60 s
 
 
+@pytest.mark.long
 def test_a_real_calibration_writes_a_twin_file_that_loads(bench, goal):
     bench.make(CalibratorNode)
     client = Client(bench, Calibrate, "calibrate")

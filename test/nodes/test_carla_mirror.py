@@ -40,6 +40,7 @@ def place_and_turn(t: float) -> tuple[list[float], Rotation]:
     return [radius * np.sin(yaw), -radius * np.cos(yaw), 0.1], turn
 
 
+@pytest.mark.long
 def test_it_draws_the_car_where_it_is_in_every_frame(repository, tmp_path):
     (tmp_path / "carla_mirror.py").write_text(program(repository), encoding="utf-8")
     drawn, twin = tmp_path / "drawn.json", repository / "bags" / "bump_15kmh" / "twin.yaml"

@@ -101,6 +101,7 @@ def test_the_condition_counts_samples_and_answers(composed, drive):
     assert not condition.failing
 
 
+@pytest.mark.long
 def test_alone_and_over_the_wire_the_nodes_say_the_same(composed, bench, twin_path, drive):
     one = composed(Playback(drive, math.inf), namespace="inner")
     inner = answers(one.nodes)
@@ -159,6 +160,7 @@ def test_linked_topics_are_not_subscribed_and_a_stranger_on_them_is_told(compose
         one.step()
 
 
+@pytest.mark.long
 def test_live_over_the_wire_and_silence_is_named(composed, bench, drive):
     one = composed(namespace="car")
 

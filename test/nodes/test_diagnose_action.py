@@ -39,6 +39,7 @@ def test_a_goal_is_taken_followed_and_answered(bench, goal):
     assert node.health.values["state"] == "idle"
 
 
+@pytest.mark.long
 def test_a_cancelled_diagnosis_ends_at_once_and_the_next_goal_is_taken(bench, goal):
     node = bench.make(CalibratorNode, {"diagnose": judge_until_stopped})
     client = Client(bench, Diagnose, "diagnose")

@@ -144,6 +144,7 @@ def test_the_first_line_says_who_may_read(bench, host, who, capfd):
     assert f"ws://{host}:" in line and who in line
 
 
+@pytest.mark.long
 def test_only_what_is_watched_is_listened_to(bench, bridge, viewer):
     publisher = bench.side.create_publisher(String, "words", LATCHED_QOS)
     seen = viewer("/words")

@@ -194,6 +194,7 @@ def test_whatever_goes_wrong_inside_the_node_lives_and_says_so(bench, twin_path,
     assert len(vertical) == 31
 
 
+@pytest.mark.long
 def test_a_silent_topic_is_named_and_welcomed_back(bench):
     node = bench.make(ImuIngestNode, namespace="car", silence_timeout=0.2)
     heard = bench.hear(DiagnosticArray, "/diagnostics")

@@ -56,6 +56,7 @@ def imported(shared_data: Path, repository: Path, name: str, mapping: str) -> Dr
     ).drive
 
 
+@pytest.mark.long
 def test_a_car_with_an_rtk_receiver(shared_data, repository, twin):
     """100 Hz, 16.3 m/s at most; a bump met twice, at the same place within centimetres: the stretch around both."""
     whole = imported(shared_data, repository, "rtklibexplorer_GNSS_IMU", "rtklibexplorer_gnss_imu")
@@ -94,6 +95,7 @@ def test_a_car_with_an_rtk_receiver(shared_data, repository, twin):
     assert "upside" not in out.complaints and "gravity lies" not in out.complaints
 
 
+@pytest.mark.long
 def test_a_phone_on_a_windshield_against_the_can_bus(shared_data, repository, twin):
     drive = imported(shared_data, repository, "comma2k19_Example_1", "comma2k19")
     out = replay(drive, twin)
@@ -111,6 +113,7 @@ def test_a_phone_on_a_windshield_against_the_can_bus(shared_data, repository, tw
     assert np.isfinite(out.twin).all()
 
 
+@pytest.mark.long
 def test_a_robot_whose_imu_stands_on_its_side(shared_data, repository, twin):
     """30 Hz are too few for a wheel and gravity is on y: both are said, and the nodes go through with it."""
     drive = imported(shared_data, repository, "robot_localization_bags", "robot_localization_test1")

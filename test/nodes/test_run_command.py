@@ -72,6 +72,7 @@ def end(process: subprocess.Popen[str], number: int) -> float:
 
 
 @pytest.mark.parametrize(("mode", "number"), [("live", signal.SIGTERM), ("looped", signal.SIGINT)])
+@pytest.mark.long
 def test_it_ends_within_a_second_with_status_0(bench, twin_path, recorded, mode, number):
     more = [] if mode == "live" else ["--bag", recorded, "--rate", "max", "--loop"]
     process = start(run_command("--twin", twin_path, *more))
@@ -131,6 +132,7 @@ with stopping():
     assert process.returncode == 0
 
 
+@pytest.mark.long
 def test_each_node_is_a_program_of_its_own(bench, twin_path):
     programs = {}
     for node in NODES:
@@ -146,6 +148,7 @@ def test_each_node_is_a_program_of_its_own(bench, twin_path):
         assert took < 1.0
 
 
+@pytest.mark.long
 def test_a_node_with_a_wrong_parameter_ends_with_status_2_and_one_line():
     arguments = ["--ros-args", "-p", "filter.cutoff:=-3.0"]
     process = start([*program(KINDS["imu_ingest"]), *arguments])
@@ -160,6 +163,7 @@ def test_a_node_names_an_argument_that_it_does_not_know(given, capsys):
     assert capsys.readouterr().err == f"{given[-1]}: unknown argument: arguments for ROS follow --ros-args\n"
 
 
+@pytest.mark.long
 def test_a_recording_is_replayed_at_full_speed_to_its_end(recorded, twin_path, drive):
     process = start(run_command("--twin", twin_path, "--bag", recorded, "--rate", "max"))
     _, errors = process.communicate(timeout=120.0)
@@ -174,6 +178,7 @@ def test_a_recording_is_replayed_at_full_speed_to_its_end(recorded, twin_path, d
     assert live.startswith("Live gap since the twin settled: ") and 0.0 < offline < now < 2.0 * offline
 
 
+@pytest.mark.long
 def test_at_full_speed_a_subscriber_gets_every_answer_and_does_not_hold_up_the_replay(
     bench, recorded, twin_path, drive
 ):
@@ -200,6 +205,7 @@ def test_at_full_speed_a_subscriber_gets_every_answer_and_does_not_hold_up_the_r
     assert took < 2.0 * np.ptp(drive.imu.t)
 
 
+@pytest.mark.long
 def test_parameters_come_from_a_file_and_names_from_a_namespace(bench, recorded, twin_path, tmp_path):
     params = tmp_path / "params.yaml"
     params.write_text(

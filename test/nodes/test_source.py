@@ -52,6 +52,7 @@ def url_of(node: SourceNode) -> str:
     return node.notes[0].rpartition(" ")[2]
 
 
+@pytest.mark.long
 def test_samples_become_messages_of_the_sensors_topics(bench, drive, twin_path):
     node = bench.make(SourceNode, sources="sensorlogger://127.0.0.1:0", twin=str(twin_path))
     imu, fix = bench.hear(Imu, "imu/data_raw"), bench.hear(NavSatFix, "fix")
@@ -117,6 +118,7 @@ def is_open(port: int) -> bool:
 
 
 @pytest.mark.parametrize("alone", [False, True], ids=["run", "node alone"])
+@pytest.mark.long
 def test_a_phone_that_sends_to_the_command_is_heard_on_the_topic(alone, bench, drive, twin_path):
     port = free_port()
     url = f"sensorlogger://127.0.0.1:{port}"
@@ -146,6 +148,7 @@ def test_a_phone_that_sends_to_the_command_is_heard_on_the_topic(alone, bench, d
     assert alone or f"push to http://127.0.0.1:{port}/" in errors
 
 
+@pytest.mark.long
 def test_what_the_twin_follows_is_recorded_beside(bench, drive, twin_path, tmp_path):
     port, bag = free_port(), tmp_path / "drive"
     url = f"sensorlogger://127.0.0.1:{port}"
@@ -186,6 +189,7 @@ def push_until_refused(port: int, acknowledged: list[float]) -> None:
             number += 1
 
 
+@pytest.mark.long
 def test_whatever_was_acknowledged_is_recorded_when_it_is_killed(bench, twin_path, tmp_path):
     port, bag, acknowledged = free_port(), tmp_path / "drive", []
     url = f"sensorlogger://127.0.0.1:{port}"

@@ -28,6 +28,7 @@ def given(repository: Path, tmp_path: Path) -> dict[str, Any]:
     return {"twin": str(folder / "pt91.yaml"), "bags": [str(tmp_path / f"13kmh_{i}.csv") for i in (1, 2)]}
 
 
+@pytest.mark.long
 def test_a_calibration_finds_the_tracks_parameters_and_writes_a_twin(bench, given, tmp_path):
     bench.make(CalibratorNode)
     client = Client(bench, Calibrate, "calibrate")
@@ -62,6 +63,7 @@ def test_a_diagnosis_ends_when_asked_and_writes_nothing(given, tmp_path):
     assert heard[-1].stage == "calibrating" and not Path(goal.output).exists()
 
 
+@pytest.mark.long
 def test_a_drive_that_is_no_marker_run_is_answered_in_a_line(bench, given, recorded, tmp_path):
     bench.make(CalibratorNode)
     client = Client(bench, Diagnose, "diagnose")

@@ -191,6 +191,7 @@ def test_the_replay_waits_for_its_page_and_looks_right_at_10_s_and_at_its_end(pa
     until(lambda: number(page, "#driven") > 0.0, "the gap over all driving")
 
 
+@pytest.mark.long
 def test_it_shows_the_moving_twin(page):
     until(lambda: page.evaluate("twin.head.t") or 0.0 > 0, "samples")
     seek(page, 3.0)
@@ -231,6 +232,7 @@ def test_the_3d_picture_has_road_and_car_and_moves(page):
     )
 
 
+@pytest.mark.long
 def test_the_replay_is_paused_wound_and_slowed(page):
     small(page)
     seek(page, 2.0)
@@ -299,6 +301,7 @@ def test_it_records_and_calibrates(page, running, drive):
     until(lambda: "starting" not in page.inner_text("#jobtext"), "its first stage")
 
 
+@pytest.mark.long
 def test_it_fits_a_phone(browser, running):
     page = browser.new_page(viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
     page.goto(running[0])

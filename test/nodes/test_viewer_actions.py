@@ -103,6 +103,7 @@ def test_a_goal_whose_node_ends_is_given_up(bench, viewer):
     assert press(bench, viewer, "calibrate") == ("calibrate: the node calibrator is not there", True)
 
 
+@pytest.mark.long
 def test_a_calibration_is_cancelled_and_its_best_so_far_is_there(bench, viewer, tmp_path):
     bench.make(CalibratorNode, {"calibrate": search_until_stopped})
     bench.until(viewer.jobs.actions["calibrate"].server_is_ready, "the action")
@@ -116,6 +117,7 @@ def test_a_calibration_is_cancelled_and_its_best_so_far_is_there(bench, viewer, 
     assert press(bench, viewer, "cancel")[1]
 
 
+@pytest.mark.long
 def test_a_goal_that_is_not_answered_is_given_up_and_goes_on_if_it_is(bench, viewer):
     answered = Future(executor=bench.executor)
 
@@ -242,6 +244,7 @@ def drive_along(bench, drive: Drive, *parts: tuple[float, float]) -> None:
             bench.spin(0.004)
 
 
+@pytest.mark.long
 def test_a_first_drive_leads_to_a_calibrated_twin(bench, repository, tmp_path):
     bump = repository / "bags" / "bump_15kmh"
     viewer = bench.make(ViewerNode, twin=str(bump / "twin.yaml"), port=0, folder=str(tmp_path))

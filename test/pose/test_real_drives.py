@@ -146,6 +146,7 @@ def test_a_lock_that_starts_in_the_middle_of_the_rtk_drive(rtk: tuple, velocitie
     assert np.median(worst) < 0.1 and max(worst) < 0.25
 
 
+@pytest.mark.long
 def test_the_rtk_drive_with_a_phone_s_receiver(rtk: tuple) -> None:
     """One fix and velocity a second, 2.5 m and 0.3 m/s off and silent about it: better than each of its fixes."""
     drive, _, path, _ = rtk
@@ -201,6 +202,7 @@ def test_comma2k19_speed_against_the_wheels(shared_data: Path, repository: Path)
         assert np.mean(off) / np.mean(wheels) == pytest.approx(0.009, abs=0.006)
 
 
+@pytest.mark.long
 def test_husky_at_thirty_hertz_is_located_but_told_too_slow(shared_data: Path, repository: Path) -> None:
     folder = shared_data / "robot_localization_bags"
     if not (folder / "test1.bag").is_file():

@@ -121,6 +121,7 @@ def test_obj_lies_on_the_road_with_true_normals(winding: Road, tmp_path: Path) -
     assert np.abs(mesh.normals[5:-5, 2:-2] - slope).max() < 0.02
 
 
+@pytest.mark.long
 def test_tiles_are_small_whole_and_share_their_borders(tmp_path: Path) -> None:
     road = iso8608_road("C", 170, width=6, v_step=0.02, step=0.1, seed=1)  # 1701 by 301 points
     mesh = road_mesh(road)

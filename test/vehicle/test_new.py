@@ -58,6 +58,7 @@ def test_questions_are_asked_and_wrong_answers_asked_again(repository, tmp_path)
 
 
 @pytest.mark.parametrize("ready", [True, False])
+@pytest.mark.long
 def test_the_datum_is_that_of_a_drive_or_said_to_be_missing(repository, tmp_path, ready):
     """Never that of the car whose numbers were taken."""
     road, drive = (repository / "bags" / "bump_15kmh" / name for name in ("road.crg", "."))

@@ -71,6 +71,7 @@ def bump(mondeo: Twin) -> Excitation:
 
 
 @pytest.mark.parametrize("drive", ["bump_15kmh", "crg_road"])
+@pytest.mark.long
 def test_it_is_the_twin_over_the_bundled_drives(drive: str, repository: Path, written: Written) -> None:
     folder = repository / "bags" / drive
     twin = load_twin(folder / "twin.yaml")
@@ -82,6 +83,7 @@ def test_it_is_the_twin_over_the_bundled_drives(drive: str, repository: Path, wr
         assert deviation(walk(path, driven), wanted).max() < 1e-9
 
 
+@pytest.mark.long
 def test_every_effect_of_the_kernel_is_in_it(mondeo: Twin, bump: Excitation, written: Written) -> None:
     specs = []
     for name, effect in EFFECTS.items():

@@ -61,6 +61,7 @@ _MONO = shutil.which("mcs") and shutil.which("mono")
 
 @pytest.mark.skipif(not _MONO, reason="no C# here: apt-get install mono-mcs mono-runtime")
 @pytest.mark.parametrize("model", ["msd", "full_car"])
+@pytest.mark.long
 def test_the_class_is_the_twin(model: str, mondeo: Twin, tmp_path: Path) -> None:
     specs = {"msd": [], "full_car": [{"id": "strut_friction", "parameters": {"front_force": 90.0}}]}[model]
     twin = parse_twin({**mondeo.model_dump(), "model": model, "effects": specs})

@@ -21,6 +21,7 @@ from suspension_twin.vehicle.twin import load_twin
 CHEAP = ("--max-generations", "1", "--freeze", "vehicle.front.spring", "--freeze", "vehicle.rear.spring")
 
 
+@pytest.mark.long
 def test_rows_become_parquet_and_are_done_once(
     manifest: Path, tmp_path: Path, in_this_process: None, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -14,6 +14,7 @@ from suspension_twin.cli.main import main
 
 
 @pytest.mark.usefixtures("in_this_process")
+@pytest.mark.long
 def test_rows_are_the_answers_of_the_single_command(
     repository: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

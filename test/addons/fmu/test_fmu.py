@@ -147,6 +147,7 @@ def test_candidates_differ_in_parameters_and_in_the_place_of_the_sensor(
     assert not stiffer.failed.any()
 
 
+@pytest.mark.long
 def test_effects_act_outside_of_it(car: Twin, other: Twin, file: Path, driven: Excitation) -> None:
     effects = tuple(
         {"id": name, "parameters": {key: value}}

@@ -27,6 +27,7 @@ from suspension_twin.drive.types import Drive, FixData, ImuData, VelocityData
 from suspension_twin.signals.checks import Finding
 
 
+@pytest.mark.long
 def test_it_tells_what_arrives(bump: Drive) -> None:
     port = free_port()
     process = start("connect", f"sensorlogger://127.0.0.1:{port}")

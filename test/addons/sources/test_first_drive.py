@@ -130,6 +130,7 @@ def test_from_a_phone_alone_to_a_calibrated_twin(repository: Path, tmp_path: Pat
     assert load_twin(tmp_path / "calibrated.yaml").vehicle != given.vehicle
 
 
+@pytest.mark.long
 def test_a_drive_that_ends_early_is_kept(three_passes: Drive, repository: Path, tmp_path: Path) -> None:
     short = replace(
         three_passes, imu=three_passes.imu.select(three_passes.imu.t < three_passes.imu.t[0] + 14.0)

@@ -69,6 +69,7 @@ async def connected(taken: Taken, times: int = 1) -> None:
     await asyncio.sleep(0.2)  # until the subscription has arrived
 
 
+@pytest.mark.long
 def test_a_drive_arrives_as_it_was(bump: Drive) -> None:
     port = free_port()
 
@@ -83,6 +84,7 @@ def test_a_drive_arrives_as_it_was(bump: Drive) -> None:
     same_drive(listen(f"mqtt://127.0.0.1:{port}/sensor-logger", play), bump)
 
 
+@pytest.mark.long
 def test_a_broker_that_is_restarted(bump: Drive) -> None:
     port = free_port()
     messages = bodies(SensorLoggerApp(bump))

@@ -75,6 +75,7 @@ def test_what_was_measured_without_a_network_is_asked_for_afterwards(bump: Drive
     np.testing.assert_array_equal(np.diff(np.searchsorted(bump.imu.t, taken.imu.t - 1e-4)), 1)
 
 
+@pytest.mark.long
 def test_a_cleared_experiment_begins_again(bump: Drive, experiment: Path) -> None:
     async def during(app: PhyphoxApp, taken: Taken) -> None:
         await app.done.wait()

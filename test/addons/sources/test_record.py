@@ -158,6 +158,7 @@ def test_what_a_receiver_alone_gave_is_kept_and_said(name: str, tmp_path: Path, 
     }
 
 
+@pytest.mark.long
 def test_of_a_killed_recording_all_but_the_last_seconds_is_there(
     bump: Drive, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -43,6 +43,7 @@ def whole(drive: Drive):
     ],
     ids=lambda p: "-".join(map(str, p.values())) or "android",
 )
+@pytest.mark.long
 def test_a_drive_arrives_as_it_was(bump: Drive, phone: dict) -> None:
     app = SensorLoggerApp(bump, **phone)
     taken = listen(LOCAL, lambda sources, _: app.push(sources[0].server.url(), 20.0), whole(bump))

@@ -51,6 +51,7 @@ def scan(tmp_path: Path, bag: str, *more: str) -> int:
     )
 
 
+@pytest.mark.long
 def test_the_cloud_is_placed_where_the_drive_was(tmp_path: Path) -> None:
     true = load_road(BAGS / "crg_road" / "road.crg")
     cloud_of("crg_road", tmp_path / "own.xyz", 2.1, (310.0, -85.0), (true.u_first, true.u_last - 0.02))
@@ -64,6 +65,7 @@ def test_the_cloud_is_placed_where_the_drive_was(tmp_path: Path) -> None:
     assert np.std(difference) < 0.35 * np.std(true.heights(*places))
 
 
+@pytest.mark.long
 def test_a_cloud_in_feet_is_recognised(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """And of a drive that goes on beyond it, the part on the cloud is enough."""
     true = load_road(BAGS / "crg_road" / "road.crg")

@@ -77,6 +77,7 @@ def as_cloud(points: Floats) -> list[tuple[Cloud, Georeference]]:
 STRAIGHT = Centreline([0.0, LENGTH], [0.0, 0.0], 0.025)
 
 
+@pytest.mark.long
 def test_the_road_comes_back_with_its_edges(points: Floats, truth: Road) -> None:
     found = road_from_scan(as_cloud(points), STRAIGHT, "line")
     edges, gaussian, road = found.edges, found.gaussian, found.road
