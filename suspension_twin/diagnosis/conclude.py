@@ -14,7 +14,7 @@ from suspension_twin.diagnosis import wording
 from suspension_twin.diagnosis.answer import WITH_SIGNATURE, answer_of, kept_row, leading_channel, rounded
 from suspension_twin.diagnosis.case import Case
 from suspension_twin.diagnosis.decision import Decision, decide, learnt, usual
-from suspension_twin.diagnosis.features import add_intervals, evidence_of, refined_row
+from suspension_twin.diagnosis.features import add_linearised, evidence_of, refined_row
 from suspension_twin.diagnosis.judge import Candidate, Judged, candidate
 from suspension_twin.diagnosis.library import NUISANCE_COUNTERPART, library
 from suspension_twin.diagnosis.next_experiment import next_experiment
@@ -55,7 +55,7 @@ def conclude(
     }
     if foreign:
         rows["case"]["foreign_reference"] = True
-    add_intervals(case, judged, rows)
+    add_linearised(case, judged, rows)
     rows["base"]["recalibrated"] = recalibrated(judged, case.twin, request.seed) if case.excited else []
     decision = decide(rows, request.costs)
     kept = _of_row(judged, rows, decision)

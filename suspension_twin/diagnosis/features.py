@@ -20,7 +20,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.case import Case
 from suspension_twin.diagnosis.decision import FORMAT
 from suspension_twin.diagnosis.judge import Candidate, Judged, detectable, tempered_gain
-from suspension_twin.diagnosis.library import DECOYS, SETUP_CATEGORIES, library
+from suspension_twin.diagnosis.library import DECOYS, SETUP_CATEGORIES, decoys, library
 from suspension_twin.diagnosis.search import FINALISTS
 from suspension_twin.diagnosis.shrink import (
     BlockBootstrap,
@@ -29,16 +29,17 @@ from suspension_twin.diagnosis.shrink import (
     gap_rows,
     relative_residual,
 )
+from suspension_twin.diagnosis.usual_errors import UsualErrors, usual_errors
 from suspension_twin.diagnosis.where import concentrated_section, strongest_tone, unevenness
 from suspension_twin.files import Json
 from suspension_twin.inference.cross_validation import Evidence, intervals
-from suspension_twin.inference.fit import linearised_fit
+from suspension_twin.inference.fit import LinearisedFit, linearised_fit
 from suspension_twin.inference.gap import pooled_gap
 from suspension_twin.inference.hypothesis import Hypothesis
 from suspension_twin.inference.parallel import side_by_side
 from suspension_twin.inference.problem import Problem
 
-__all__ = ["add_intervals", "clock_offsets", "evidence_of", "refined_row", "usual_ratio"]
+__all__ = ["add_linearised", "clock_offsets", "evidence_of", "refined_row", "usual_ratio"]
 
 #: Change of clock and position errors over a drive, from +2 to -2 standard deviations: a slow drift of the GNSS
 #: position resembles a clock drift.
@@ -69,23 +70,41 @@ def evidence_of(case: Case, judged: Judged, seed: int) -> Json:
 def refined_row(case: Case, judged: Judged, one: Candidate, seed: int) -> Json:
     """Parameters with intervals, characteristics and shrinks of a hypothesis that was refitted for the twin file."""
     row = _Rows(case, judged, seed).row(one, True)
-    _add_intervals(case, judged, one, row)
+    _add_intervals(case, judged, linearised_fit(judged.problem.having(one.hypothesis), one.found.fit.x), row)
     return {key: row[key] for key in ("parameters", "vehicle", "channels", "level", "level_fitted")}
 
 
-def add_intervals(case: Case, judged: Judged, rows: Json) -> None:
-    """Add the 90 % intervals of the parameters to the rows that could be named."""
+def add_linearised(case: Case, judged: Judged, rows: Json) -> None:
+    """Add to the rows that could be named what takes a linearisation: 90 % intervals of the parameters and, on a road,
+    ``beside``, the nats over recalibration where both stand beside the usual errors of every car."""
     hypotheses = zip([*judged.singles, *judged.sets], rows["hypotheses"], strict=True)
-    wanted = [(c, r) for c, r in hypotheses if r["detailed"] and not c.decoy]
-    side_by_side(lambda pair: _add_intervals(case, judged, *pair), wanted)
+    wanted = [(c, r) for c, r in hypotheses if r["detailed"]]
+    usual = _usual_errors(case, judged) if case.road else None
+
+    def add(pair: tuple[Candidate, Json]) -> float:
+        one, row = pair
+        fit = linearised_fit(judged.problem.having(one.hypothesis), one.found.fit.x)
+        if one is not judged.base and not one.decoy:
+            _add_intervals(case, judged, fit, row)
+        return 0.0 if usual is None else usual.log_evidence(judged.problem, fit, judged.scale.temper)
+
+    without, *found = side_by_side(add, [(judged.base, rows["base"]), *wanted])
+    if usual is not None:
+        for (_, row), nats in zip(wanted, found, strict=True):
+            row["beside"] = _plain(nats - without)
 
 
-def _add_intervals(case: Case, judged: Judged, one: Candidate, row: Json) -> None:
+def _usual_errors(case: Case, judged: Judged) -> UsualErrors:
+    offered = {**library(case.twin, case.excited), **decoys(case.twin, case.excited)}
+    referenced = judged.scale.reference is not None
+    return usual_errors(judged.problem, judged.base.found.fit.x, offered, referenced)
+
+
+def _add_intervals(case: Case, judged: Judged, fit: LinearisedFit, row: Json) -> None:
     # without a road blocks do not repeat: the discrepancy is independent from block to block
     temper = judged.scale.temper if case.road else 1.0
-    fit = linearised_fit(judged.problem.having(one.hypothesis), one.found.fit.x)
     ends = intervals(judged.problem, fit, judged.search.blocks, temper)
-    for key, i in zip(*one.hypothesis.on_drive(0), strict=True):
+    for key, i in zip(*fit.hypothesis.on_drive(0), strict=True):
         _, effect, name = key.split(".")
         row["parameters"][effect][name]["interval"] = _plain(ends[i].tolist())
 

@@ -187,6 +187,22 @@ class Hypothesis:
         ends[free] = np.stack([low, high], axis=1)[free]
         return np.unique(ends, axis=1)
 
+    def at_usual_sizes(self, mass: float) -> list[tuple[Floats, Floats, bool]]:
+        """For each severity that sound vehicles have, on one of ``mass`` kg: coordinates (k,) at its usual size, those
+        without it, and whether it has one sign; none of a tone, which has no usual phase."""
+        effect, (low, _), out = self.effect(self.effects[-1]), self.bounds(), []
+        for i, ((_, p), severe) in enumerate(zip(self.searched, self._severe, strict=True)):
+            usual = p.prior.usual or effect.usual_share * mass
+            if not severe or not usual or effect.tone is not None or p.each_drive:
+                continue
+            nothing = self.neutral()
+            if p.prior.log:
+                nothing[i] = p.coordinate(max(p.neutral, p.bounds[0]))
+            at = nothing.copy()
+            at[i] = p.coordinate(p.value(nothing[i]) + usual) if not p.prior.log else p.coordinate(usual)
+            out.append((at, nothing, bool(nothing[i] <= low[i] + 1e-9)))
+        return out
+
     @property
     def has_clearance(self) -> bool:
         """Whether an effect acts only beyond a clearance."""
