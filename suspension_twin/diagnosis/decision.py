@@ -57,6 +57,8 @@ FEATURES: Mapping[str, str] = {
     "number": "log of the number of effects in the library, which share the prior",
     "gain": "evidence over recalibration",
     "margin": "evidence over the next best",
+    "beside": "evidence over recalibration beside the usual errors of every car",
+    "beside_margin": "that evidence over the next best",
     "shrink": "shrink beyond recalibration, in the best driven channel",
     "proven": "lower end of the shrink beyond recalibration, in the best channel",
     "throughout": "lower end of that shrink in the worst driven channel",
@@ -314,6 +316,7 @@ def answers_of(evidence: Json) -> list[Answer]:
         )
     case, base, rows = evidence["case"], evidence["base"], _rivals(evidence)
     gains = [_gain(r, base.get("since")) for r in rows]
+    beside = [_beside(r, g) for r, g in zip(rows, gains, strict=True)]
     unusual = [g for g, r in zip(gains, rows, strict=True) if _unusual(r)]
     singles = [g for g, r in zip(gains, rows, strict=True) if len(r["effects"]) == 1]
     best = max(rows, key=lambda r: _explained(case, base, r), default=base)
@@ -335,12 +338,15 @@ def answers_of(evidence: Json) -> list[Answer]:
     # an effect that a request leaves out of the library may be the cause as well: that is "unknown"
     number = max(case.get("library", 0), sum(map(single, rows)), 1)
     most, least = _square(case, base), min(_square(case, r) for r in (base, *rows))
-    for row, gain in zip(rows, gains, strict=True):
+    rivals = list(zip(rows, gains, beside, strict=True))
+    for row, gain, further in rivals:
         values = {
             "number": float(np.log(number)),
             "complete": max(most - _square(case, row), 0.0) / (most - least) if most > least else 0.0,
             **_of_cause(case, base, row),
             **_of_rivalry(case, row, gain, list(zip(rows, gains, strict=True))),
+            "beside": _compressed(further),
+            "beside_margin": _compressed(further - _of_best_rival(row, list(zip(rows, beside, strict=True)))),
         }
         causes = ("unknown",) if row["decoy"] else tuple(sorted(row["effects"]))
         found.append(Answer(causes, row, _vector(values)))
@@ -390,19 +396,29 @@ def _of_cause(case: Json, base: Json, row: Json) -> dict[str, float]:
 
 
 def _of_rivalry(case: Json, row: Json, gain: float, others: list[tuple[Json, float]]) -> dict[str, float]:
-    """Features of a cause beside the ``others``, rows with their gains.
-
-    A hypothesis is nested in one of more effects: neither is a rival of the other.
-    """
+    """Features of a cause beside the ``others``, rows with their gains."""
     own = set(row["effects"])
-    rivals = [g for r, g in others if not (own <= set(r["effects"]) or set(r["effects"]) < own)]
-    values = {"gain": _compressed(gain), "margin": _compressed(gain - max([0.0, *rivals]))}
+    values = {"gain": _compressed(gain), "margin": _compressed(gain - _of_best_rival(row, others))}
     if len(own) > 1:
         smaller = [g for r, g in others if set(r["effects"]) < own]
         values["size"] = float(len(own) - 1) * (case["kind"] != "planar")
         values["added"] = _compressed(gain - max([0.0, *smaller]))
         values["added_proven"] = float(np.clip(row.get("added_low", 0.0), 0.0, 1.0))
     return values
+
+
+def _of_best_rival(row: Json, others: list[tuple[Json, float]]) -> float:
+    """Evidence of the best rival, at least 0. A hypothesis is nested in one of more effects: neither is a rival of the
+    other."""
+    own = set(row["effects"])
+    rivals = [g for r, g in others if not (own <= set(r["effects"]) or set(r["effects"]) < own)]
+    return max([0.0, *rivals])
+
+
+def _beside(row: Json, gain: float) -> float:
+    """Nats over recalibration beside the usual errors of every car; without a linearisation, the plain ``gain``."""
+    known = row.get("beside")
+    return gain if known is None else float(known)
 
 
 def _compressed(gain: float) -> float:

@@ -200,6 +200,18 @@ def test_a_set_is_compared_with_its_parts_and_a_cause_with_its_rivals() -> None:
     assert {f["number"] for f in found.values()} == {np.log(3.0)}
 
 
+def test_evidence_beside_usual_errors_is_the_plain_one_where_nothing_was_linearised() -> None:
+    rows = (
+        row("payload", gain=9.0) | {"beside": -2.0},
+        row("other", gain=5.0),
+        row("third", gain=1.0) | {"beside": 7.0},
+    )
+    found = {c: features(evidence(*rows), c) for c in ("payload", "other", "third")}
+    assert [f["beside"] for f in found.values()] == pytest.approx(np.arcsinh([-2.0, 5.0, 7.0]))
+    assert [f["beside_margin"] for f in found.values()] == pytest.approx(np.arcsinh([-9.0, -2.0, 2.0]))
+    assert [f["gain"] for f in found.values()] == pytest.approx(np.arcsinh([9.0, 5.0, 1.0]))
+
+
 def test_a_part_of_a_set_is_no_answer_of_its_own_without_a_road_and_nowhere_a_rival_of_the_set() -> None:
     both = row("payload", "strut_friction", gain=9.0, left=0.2) | {"added_low": 0.3}
     case = evidence(both, row("payload", gain=2.0), row("strut_friction", gain=5.0), row("other", gain=1.0))
@@ -428,7 +440,8 @@ def test_a_kept_diagnosis_is_decided_anew(tmp_path: Path, capsys: pytest.Capture
 SQUARE, LEVEL, TONE, BAND, PLACE, RATIO = 1.5, 0.14, 10.0, 2.7, 0.27, 1.5
 #: Features that raise and that lower the probability of an answer; the sign for a car without a reference is free.
 FOR = {
-    "gain", "margin", "shrink", "proven", "throughout", "tone", "explained", "complete", "added", "added_proven",
+    "gain", "margin", "beside", "beside_margin", "shrink", "proven", "throughout", "tone", "explained", "complete",
+    "added", "added_proven",
     "unknown_best_excess", "unknown_above_reference", "unknown_open",
 }  # fmt: skip
 AGAINST = {
