@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
+from test_hypothesis_problem import problem_of
 
 from suspension_twin.diagnosis.library import DECOYS, decoys, library
 from suspension_twin.diagnosis.usual_errors import UsualErrors, usual_errors
@@ -16,8 +17,6 @@ from suspension_twin.inference.fit import LinearisedFit
 from suspension_twin.inference.hypothesis import BASELINE
 from suspension_twin.inference.problem import Linearised, Problem
 from suspension_twin.vehicle.twin import Twin
-
-from .test_hypothesis_problem import problem_of
 
 
 @pytest.fixture(scope="module")
