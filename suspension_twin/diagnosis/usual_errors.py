@@ -23,7 +23,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.inference.fit import LinearisedFit
 from suspension_twin.inference.gauss_newton import bounded_step
 from suspension_twin.inference.hypothesis import Hypothesis
-from suspension_twin.inference.problem import Problem
+from suspension_twin.inference.problem import Problem, whitener_of
 
 __all__ = ["UsualErrors", "usual_errors"]
 
@@ -69,15 +69,20 @@ def usual_errors(
     Those of a twin file are there before and after a change: with a reference (``everywhere``) they act on all drives.
     A tone has no usual phase and is left out.
     """
-    columns, low, effects = [], [], []
+    columns: list[Floats] = []
+    low, effects = [], []
     for effect, variants in library.items():
         for v in variants:
-            hypothesis = v.on_all_drives() if everywhere else v
-            for u, nothing, one_sided in hypothesis.at_usual_sizes(problem.twin.vehicle.mass):
-                points = np.stack([np.concatenate([x, at]) for at in (u, nothing)], axis=1)
-                residual, failed = problem.having(hypothesis).residuals(points)
-                if not failed.any():
-                    columns.append(residual[:, 0] - residual[:, 1])
-                    low.append(0.0 if one_sided else -np.inf)
-                    effects.append(effect)
-    return UsualErrors(np.stack(columns, axis=1), np.array(low), tuple(effects))
+            hypothesis, sizes = (
+                v.on_all_drives() if everywhere else v,
+                v.at_usual_sizes(problem.twin.vehicle.mass),
+            )
+            if sizes:
+                points = [np.concatenate([x, at]) for pair in sizes for at in pair[:2]]
+                residual, failed = problem.having(hypothesis).residuals(np.stack(points, axis=1))
+                acts = [i for i in range(len(sizes)) if not failed[2 * i : 2 * i + 2].any()]
+                columns += [residual[:, 2 * i] - residual[:, 2 * i + 1] for i in acts]
+                low += [0.0 if sizes[i][2] else -np.inf for i in acts]
+                effects += [effect] * len(acts)
+    changes = np.stack(columns, axis=1) if columns else np.zeros((whitener_of(problem).row.size, 0))
+    return UsualErrors(changes, np.array(low), tuple(effects))

@@ -199,7 +199,7 @@ class Hypothesis:
             if p.prior.log:
                 nothing[i] = p.coordinate(max(p.neutral, p.bounds[0]))
             at = nothing.copy()
-            at[i] = p.coordinate(p.value(nothing[i]) + usual) if not p.prior.log else p.coordinate(usual)
+            at[i] = p.coordinate(usual if p.prior.log else float(self.values(nothing[:, None])[i, 0]) + usual)
             out.append((at, nothing, bool(nothing[i] <= low[i] + 1e-9)))
         return out
 
