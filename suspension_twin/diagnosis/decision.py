@@ -57,7 +57,7 @@ FEATURES: Mapping[str, str] = {
     "number": "log of the number of effects in the library, which share the prior",
     "gain": "evidence over recalibration",
     "margin": "evidence over the next best",
-    "beside": "evidence over recalibration beside the usual errors of every car",
+    "beside": "evidence over recalibration that remains beside the usual errors of every car",
     "beside_margin": "that evidence over the next best",
     "shrink": "shrink beyond recalibration, in the best driven channel",
     "proven": "lower end of the shrink beyond recalibration, in the best channel",
@@ -416,9 +416,10 @@ def _of_best_rival(row: Json, others: list[tuple[Json, float]]) -> float:
 
 
 def _beside(row: Json, gain: float) -> float:
-    """Nats over recalibration beside the usual errors of every car; without a linearisation, the plain ``gain``."""
+    """Nats over recalibration that remain beside the usual errors of every car: at most the plain ``gain``, and that
+    where nothing was linearised."""
     known = row.get("beside")
-    return gain if known is None else float(known)
+    return gain if known is None else min(float(known), gain)
 
 
 def _compressed(gain: float) -> float:
