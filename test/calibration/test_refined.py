@@ -72,7 +72,8 @@ def test_a_spring_far_softer_than_its_file_droops_as_far_as_it_does(mondeo: Twin
     for name, seed in (("one", 1), ("two", 2)):
         knots = [(0, 0), (3.2, 0), (6, 4.0), (12, 6.0), (16, 6.0), (18, 0), (19.5, 0)]
         write_drive(synthetic_drive(truth, road, knots, seed=seed, name=name), tmp_path / name)
-    found = calibrate(CalibrationRequest(str(tmp_path / "twin.yaml"), (str(tmp_path / "one"),)))
+    request = CalibrationRequest(str(tmp_path / "twin.yaml"), (str(tmp_path / "one"),))
+    found = calibrate(request)
     assert sum("free length" in text for text in found.warnings) == 2
     for axle in AXLES:
         here, there = found.twin.axles[axle], truth.axles[axle]
@@ -85,6 +86,13 @@ def test_a_spring_far_softer_than_its_file_droops_as_far_as_it_does(mondeo: Twin
     unseen = read_drive(tmp_path / "two")
     left = simulate_drive(unseen, found.twin, road).gap.rms
     assert left < 1.3 * simulate_drive(unseen, truth, road).gap.rms
+    # a stop within the search for the free lengths leaves what was found before it
+    stages: list[str] = []
+    stopped = calibrate(
+        request, lambda p: stages.append(p.stage), lambda: "writing" in stages and stages[-1] != "writing"
+    )
+    assert stopped.stopped and stopped.estimates and found.cost < stopped.cost < stopped.initial_cost
+    assert not any("free length" in text for text in stopped.warnings)
 
 
 def test_springs_that_are_named_stay_and_other_models_get_no_links(mondeo: Twin) -> None:
