@@ -342,8 +342,8 @@ def written(weights: np.ndarray, conformal: float, ridge: float, lines: Sequence
             "command": "python benchmarks/train_decision.py --write",
             "cases": len(lines),
             "realities": sorted({x["label"]["reality"] for x in lines}),
-            "seeds": "report, report4, report5 (63 cases), train, flexible, flexible_dev, measured and measured_dev of blind.py, "
-            "development of seeded.py",
+            "seeds": "report, report4, report5 (63 cases), train, flexible, flexible_dev, measured and "
+            "measured_dev of blind.py, development of seeded.py",
             "commit": commit.stdout.strip(),
             "evidence_sha256": digest,
             "ridge": ridge,

@@ -69,8 +69,7 @@ def usual_errors(
     Those of a twin file are there before and after a change: with a reference (``everywhere``) they act on all drives.
     A tone has no usual phase and is left out.
     """
-    columns: list[Floats] = []
-    low, effects = [], []
+    found: list[tuple[Floats, float, str]] = []
     for effect, variants in library.items():
         for v in variants:
             hypothesis, sizes = (
@@ -80,9 +79,11 @@ def usual_errors(
             if sizes:
                 points = [np.concatenate([x, at]) for pair in sizes for at in pair[:2]]
                 residual, failed = problem.having(hypothesis).residuals(np.stack(points, axis=1))
-                acts = [i for i in range(len(sizes)) if not failed[2 * i : 2 * i + 2].any()]
-                columns += [residual[:, 2 * i] - residual[:, 2 * i + 1] for i in acts]
-                low += [0.0 if sizes[i][2] else -np.inf for i in acts]
-                effects += [effect] * len(acts)
-    changes = np.stack(columns, axis=1) if columns else np.zeros((whitener_of(problem).row.size, 0))
-    return UsualErrors(changes, np.array(low), tuple(effects))
+                found += [
+                    (residual[:, 2 * i] - residual[:, 2 * i + 1], 0.0 if one_sided else -np.inf, effect)
+                    for i, (_, _, one_sided) in enumerate(sizes)
+                    if not failed[2 * i : 2 * i + 2].any()
+                ]
+    none = np.zeros((whitener_of(problem).row.size, 0))
+    columns = np.stack([change for change, _, _ in found], axis=1) if found else none
+    return UsualErrors(columns, np.array([low for _, low, _ in found]), tuple(e for _, _, e in found))
