@@ -338,15 +338,15 @@ def answers_of(evidence: Json) -> list[Answer]:
     # an effect that a request leaves out of the library may be the cause as well: that is "unknown"
     number = max(case.get("library", 0), sum(map(single, rows)), 1)
     most, least = _square(case, base), min(_square(case, r) for r in (base, *rows))
-    rivals = list(zip(rows, gains, beside, strict=True))
-    for row, gain, further in rivals:
+    plain, remaining = list(zip(rows, gains, strict=True)), list(zip(rows, beside, strict=True))
+    for row, gain, further in zip(rows, gains, beside, strict=True):
         values = {
             "number": float(np.log(number)),
             "complete": max(most - _square(case, row), 0.0) / (most - least) if most > least else 0.0,
             **_of_cause(case, base, row),
-            **_of_rivalry(case, row, gain, list(zip(rows, gains, strict=True))),
+            **_of_rivalry(case, row, gain, plain),
             "beside": _compressed(further),
-            "beside_margin": _compressed(further - _of_best_rival(row, list(zip(rows, beside, strict=True)))),
+            "beside_margin": _compressed(further - _of_best_rival(row, remaining)),
         }
         causes = ("unknown",) if row["decoy"] else tuple(sorted(row["effects"]))
         found.append(Answer(causes, row, _vector(values)))
