@@ -34,7 +34,14 @@ from suspension_twin.inference.observation import (
     renamed,
     road_of,
 )
-from suspension_twin.inference.placement import Placement, in_reach, is_open, on_one_clock, place
+from suspension_twin.inference.placement import (
+    NoPlaceError,
+    Placement,
+    in_reach,
+    is_open,
+    on_one_clock,
+    place,
+)
 from suspension_twin.inference.priors import SINGLE
 from suspension_twin.inference.problem import Data, Interrupted, Likelihood, Problem, Simulation
 from suspension_twin.inference.runs import is_actuated, observe_runs
@@ -135,13 +142,20 @@ def set_up(
         recordings.append(replace(recorded, fix=FixData.empty()) if request.no_position else recorded)
         check_recording(recordings[-1])
     alike = on_common_rate(recordings, FilterSpec())
-    drives = renamed([on_one_clock(observe_checked(d, twin, road)) for d in alike])
-    placements = []
-    for number, drive in enumerate(drives):
+    drives, placements, left_out = [], list[Placement | None](), list[NoPlaceError]()
+    for drive in renamed([on_one_clock(observe_checked(d, twin, road)) for d in alike]):
         note(f"placing {drive.name} on its road")
-        placements.append(place(drive, twin))
-        drives[number] = drive if placements[-1] is None else placements[-1].moved(drive)
+        try:
+            where = place(drive, twin)
+        except NoPlaceError as error:
+            left_out.append(error)
+            continue
+        placements.append(where)
+        drives.append(drive if where is None else where.moved(drive))
+    if not drives:
+        raise left_out[0]
     data, lags, warnings = aligned_parts(twin, drives)
+    warnings = (*(error.left_out for error in left_out), *warnings)
     terms = objective_terms(request, preset, drives)
     rates = {round(d.rate, 3) for d in drives}
     if len(rates) > 1 and any(t.kind in ("spectral", "iso18571") for t in terms):

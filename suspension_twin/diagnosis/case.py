@@ -33,7 +33,7 @@ from suspension_twin.inference.observation import (
     with_shown_errors,
 )
 from suspension_twin.inference.parallel import side_by_side
-from suspension_twin.inference.placement import in_reach, on_one_clock, place
+from suspension_twin.inference.placement import NoPlaceError, in_reach, on_one_clock, place
 from suspension_twin.inference.problem import (
     Data,
     Interrupted,
@@ -166,20 +166,29 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
         check_recording(recorded)
         return recorded
 
-    def ready(recorded: Drive) -> Observation:
+    def ready(recorded: Drive) -> Observation | NoPlaceError:
         if stop():
             raise Interrupted
         observation = observe(recorded, twin, road, settings, strict=True)
         if twin.road is not None:
             check_drive(in_reach(observation))
             observation = on_one_clock(observation)
-            where = place(observation, twin)
+            try:
+                where = place(observation, twin)
+            except NoPlaceError as error:
+                return error
             observation = observation if where is None else where.kept(observation)
         return with_shown_errors(observation)
 
     recordings = side_by_side(recording, bags, lambda _, bag: note(f"reading {Path(bag).name}"))
-    drives = renamed(side_by_side(ready, on_common_rate(recordings, FilterSpec())))
-    warnings = [f"{d.name}: {text}" for d in drives for text in d.warnings]
+    found = side_by_side(ready, on_common_rate(recordings, FilterSpec()))
+    left_out = [d for d in found if isinstance(d, NoPlaceError)]
+    active = tuple(a for d, a in zip(found, active, strict=True) if not isinstance(d, NoPlaceError))
+    if not any(active):
+        raise left_out[0]
+    drives = renamed([d for d in found if not isinstance(d, NoPlaceError)])
+    warnings = [error.left_out for error in left_out]
+    warnings += [f"{d.name}: {text}" for d in drives for text in d.warnings]
     if twin.road is None:
         warnings.append(
             "the twin file names no road: only the planar channels are compared, and only effects of clock, sensor "

@@ -145,8 +145,7 @@ class BlockBootstrap:
             np.bincount(cell, minlength=len(with_gap) * blocks.count).reshape(len(with_gap), -1).astype(float)
         )
         used = np.flatnonzero(count.any(axis=0))
-        even = np.full(used.size, 1.0 / used.size)
-        drawn = np.random.default_rng(seed).multinomial(used.size, even, DRAWS).astype(float)
+        drawn = used.size * np.random.default_rng(seed).dirichlet(np.ones(used.size), DRAWS)
         floor = np.array([noise[c] for c in problem.channels])
         return cls(rows, cell, count, used, drawn, floor, seed)
 

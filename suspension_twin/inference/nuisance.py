@@ -72,14 +72,14 @@ class ClockPriors:
 @dataclass(frozen=True)
 class MapPriors:
     """Standard deviations of the place on the map along the road: ``map_position`` m of all drives, ``drive_map`` m of
-    each, ``wander`` m (the GNSS position's own error, one value for every pass and ``wander_seconds``; None takes
-    it from the fixes' covariance), ``tape`` m of the sizes of what was measured by tape (None: as the road's file
+    each, ``wander`` m (the GNSS position's own error, one value for every pass and ``wander_seconds``, in which its
+    speed hardly changes; None takes it from the fixes' covariance), ``tape`` m of the sizes of what was measured by tape (None: as the road's file
     says)."""
 
     map_position: float = 0.0
     drive_map: float = 0.0
     wander: float | None = 0.0
-    wander_seconds: float = 8.0
+    wander_seconds: float = 2.0
     tape: float | None = 0.0
 
 
@@ -382,23 +382,25 @@ def slow_position_error(drive: Observation) -> float:
 
 
 def course_covariance(motion: Floats, sigma: float) -> Floats:
-    """(k, k) prior covariance in m² of a receiver's error along the vehicle's course.
+    """(k, k) prior covariance in m² of the error of smoothed positions along the vehicle's course.
 
     Parameters
     ----------
     motion : (2, k) array
         Times in s and courses in rad.
     sigma : float
-        The receiver's horizontal standard deviation in m; its error is correlated over ``position_memory`` s.
+        The receiver's horizontal standard deviation in m; its error is correlated over T, ``position_memory`` s, and has
+        a derivative, as the smoothed path has a speed: Matérn 3/2.
 
     Returns
     -------
     (k, k) array
-        ``sigma² cos(c_i - c_j) exp(-|t_i - t_j| / T)``.
+        ``sigma² cos(c_i - c_j) (1 + a) exp(-a)`` with ``a = sqrt(3) |t_i - t_j| / T``.
     """
     t, course = motion
     apart, turn = np.subtract.outer(t, t), np.subtract.outer(course, course)
-    return np.asarray(sigma**2 * np.cos(turn) * np.exp(-np.abs(apart) / SINGLE["position_memory"]))
+    memories = np.sqrt(3.0) * np.abs(apart) / SINGLE["position_memory"]
+    return np.asarray(sigma**2 * np.cos(turn) * (1.0 + memories) * np.exp(-memories))
 
 
 def map_spread(drives: Sequence[Observation]) -> float:

@@ -1,18 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Placement of a drive on its road by what its sensor felt, where the receiver leaves the place open.
 
-The error of a receiver's position is slow: its part along the vehicle's course is a function d(t), here the part along
-the course of an Ornstein-Uhlenbeck process with the receiver's own variance s² and a time constant T, and the way
-driven while the receiver is late by c,
+The error of a receiver's position is slow, and once the positions are smoothed with its velocities, that of a speed:
+d(t), along the vehicle's course, is the part along the course of a process that has a derivative (Matérn 3/2) with the
+receiver's own variance s² and a time constant T, and the way driven while the receiver is late by c,
 
-    cov(d_i, d_j) = s² cos(course_i - course_j) exp(-|t_i - t_j| / T) + var(c) v_i v_j.
+    cov(d_i, d_j) = s² cos(course_i - course_j) (1 + a) exp(-a) + var(c) v_i v_j,   a = sqrt(3) |t_i - t_j| / T.
 
-The drive is cut into passes, segments on which the road is felt. A bank of places is simulated for each of them: the
+The drive is cut into passes, pieces of a few seconds on which the road is felt. A bank of places is simulated for each of them: the
 given twin over the same motion, with the road looked up farther ahead and, where the road's wheel paths differ, farther
 to the left. The pattern of vertical acceleration, pitch and roll rate that both axles make a wheelbase apart gives each
 place its likelihood. Passes follow one another as the states of a hidden Markov chain: forward and backward over it
-gives the most probable places and their marginal probabilities. What is left, some centimetres at each knot
-of time, is found with the vehicle (``wander`` of :mod:`~suspension_twin.inference.nuisance`).
+gives the most probable places and their marginal probabilities. Between the passes the places are found by
+Gauss-Newton at knots of time. What is left, some centimetres at each knot, is found with the vehicle (``wander`` of
+:mod:`~suspension_twin.inference.nuisance`).
 
 A receiver's error matters where three standard deviations of it move the wheels by more than half the shortest wave
 that the comparison passes, v / (2 f_c) at its cut-off f_c. Below that, nothing is placed.
@@ -22,11 +23,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
 
-from suspension_twin.arrays import Floats
+from suspension_twin.arrays import Floats, interpolated
 from suspension_twin.effects.registry import effect
 from suspension_twin.errors import WorkError
 from suspension_twin.inference.excited_segments import TrimSettings, fit_rows, trim
@@ -40,7 +42,7 @@ from suspension_twin.models.simulate import simulate_lanes
 from suspension_twin.pose.imu_gnss_consistency import consistency
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["SAME_ROAD", "Placement", "in_reach", "is_open", "on_one_clock", "place"]
+__all__ = ["SAME_ROAD", "NoPlaceError", "Placement", "in_reach", "is_open", "on_one_clock", "place"]
 
 #: m that wheel paths differ by at least for the lateral place to matter: a tape measure's millimetre.
 _LEVEL_ACROSS = 1e-3
@@ -53,21 +55,37 @@ _STEP = 2e-3
 SAME_ROAD = 0.5
 #: Places that are simulated once more, the most probable ones, to see how far they differ (numerics: four blocks).
 _PROBABLE = 64
+#: s of driving, at most, that one place is looked for: the error of the smoothed speed, sqrt(3) / 60 s of a phone's
+#: 2.5 m, moves it by less than half the shortest wave meanwhile.
+_LONGEST = 4.0
+#: Steps of the search between the passes, at most; m of a step below which it ends, and of a difference quotient; share
+#: of the prior's variance that keeps its inverse (numerics).
+_STEPS, _STILL, _NEAR, _ROUNDING = 12, 2e-3, 0.01, 1e-6
 _ALONG, _LEFT = "position_offset", "lateral_offset"
+
+
+class NoPlaceError(WorkError):
+    """No pass of a drive can be placed on its road."""
+
+    @property
+    def left_out(self) -> str:
+        """One line for people where other drives are placed."""
+        return f"{self}; the drive is left out"
 
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """Places of k passes against their positions: middles ``t`` (k,) s, how much farther ``ahead`` along the vehicle's
-    course and to the ``left`` each lies, (k,) m; ``spans`` of passes that could not be placed, in s."""
+    """Places of ``passes`` against their positions: how much farther ``ahead`` along the vehicle's course and to the
+    ``left`` the drive was at ``t`` s, each (k,) m; ``spans`` of passes that could not be placed, in s."""
 
     t: Floats
     ahead: Floats
     left: Floats
+    passes: int
     spans: tuple[tuple[float, float], ...] = ()
 
     def moved(self, observation: Observation) -> Observation:
-        """The drive where it was found, linear between passes; passes that could not be placed are not compared."""
+        """The drive where it was found, linear between the times; passes that could not be placed are not compared."""
         found = on_the_lane(observation).displaced(self.t, self.ahead, self.left)
         source, path = found.source, found.trajectory
         valid = path.valid.copy()
@@ -90,7 +108,7 @@ class Placement:
         """One line for people, times counted from ``start`` s."""
         lost = ", ".join(f"{a - start:.0f} to {b - start:.0f} s" for a, b in self.spans)
         return (
-            f"{self.t.size} segments are placed on the road by what was felt, {self.ahead.min():+.1f} to "
+            f"{self.passes} segments are placed on the road by what was felt, {self.ahead.min():+.1f} to "
             f"{self.ahead.max():+.1f} m ahead of their positions"
         ) + (f"; left out, for their place cannot be told: {lost}" if lost else "")
 
@@ -167,7 +185,7 @@ def place(drive: Observation, twin: Twin) -> Placement | None:
 
     Raises
     ------
-    WorkError
+    NoPlaceError
         No pass can be placed.
     """
     if twin.model not in effect(_ALONG).hook.models or not is_open(drive):
@@ -179,10 +197,13 @@ def place(drive: Observation, twin: Twin) -> Placement | None:
 
 @dataclass(frozen=True, eq=False)
 class _Pass:
-    """A segment on which the road is felt: its ``part`` with the lead, the samples ``rows`` of it that are compared."""
+    """A piece of driving on which the road is felt: its ``part`` with the lead, the samples ``rows`` of it that are
+    compared, and the whole ``segment`` that it is a piece of, in which these are the samples ``within``."""
 
     part: Observation
     rows: NDArray[np.intp]
+    segment: Observation
+    within: NDArray[np.intp]
 
     @property
     def span(self) -> tuple[float, float]:
@@ -199,11 +220,8 @@ class _Pass:
 
 
 def _passes(drive: Observation) -> list[_Pass]:
-    """Segments of a drive on which the road is felt, none longer than the receiver's error is taken as constant."""
-    longest, settings = (
-        drive.usage.priors.wander_seconds,
-        replace(TrimSettings(), bridge=TrimSettings().window),
-    )
+    """Pieces of a drive on which the road is felt, none longer than one place is looked for."""
+    settings = replace(TrimSettings(), bridge=TrimSettings().window)
     # where the road ends is not known yet
     everywhere = replace(drive, mask=np.ones_like(drive.mask))
     found = []
@@ -212,12 +230,12 @@ def _passes(drive: Observation) -> list[_Pass]:
         rows = fit_rows(wide, settings)
         if rows.size < 0.5 * drive.rate:
             continue
-        pieces = int(np.ceil(rows.size / drive.rate / longest))
+        pieces = int(np.ceil(rows.size / drive.rate / _LONGEST))
         for own in np.array_split(rows, pieces):
             start, end = float(wide.t[own[0]]), float(wide.t[own[-1]])
             part = drive.part(start - settings.lead, end + 0.5)
             inside = np.flatnonzero((part.t >= start) & (part.t <= end))
-            found.append(_Pass(part, inside))
+            found.append(_Pass(part, inside, wide, own))
     return found
 
 
@@ -234,33 +252,32 @@ class _Expectation:
         """In units of what was felt on all passes; the twin with the place as a number that may differ."""
         have = {e.id for e in twin.effects}
         specs = [e.model_dump() for e in twin.effects] + [{"id": n} for n in (_ALONG, _LEFT) if n not in have]
-        felt = [np.mean(_felt(p, channels) ** 2, axis=0) for p in passes]
+        felt = [np.mean(_felt(p.part, p.rows, channels) ** 2, axis=0) for p in passes]
         return cls(twin.with_changes({"effects": specs}), channels, np.sqrt(np.mean(felt, axis=0)))
 
-    def felt(self, one: _Pass) -> Floats:
-        """(rows, C, 1) measured on a pass."""
-        return np.asarray((_felt(one, self.channels) / self.unit)[:, :, None])
+    def felt(self, part: Observation, rows: NDArray[np.intp]) -> Floats:
+        """(rows, C, 1) measured at some samples of a part of a drive."""
+        return np.asarray((_felt(part, rows, self.channels) / self.unit)[:, :, None])
 
-    def at(self, one: _Pass, ahead: Floats, left: Floats) -> Floats:
-        """(rows, C, L) expected on a pass at the places ``ahead`` and ``left`` (L,) m."""
+    def at(self, part: Observation, rows: NDArray[np.intp], ahead: Floats, left: Floats) -> Floats:
+        """(rows, C, L) expected at these samples at the places ``ahead`` and ``left`` (L,) m."""
         keys = tuple(f"effects.{name}.offset" for name in (_ALONG, _LEFT))
         candidates = lanes(self.twin, keys, np.column_stack([ahead, left]))
-        response = simulate_lanes(self.twin, candidates, coarser(one.part.road_excitation, _STEP))
-        expected = one.part.apply(response.stacked(self.channels))[one.rows]
-        return np.asarray(expected / self.unit[:, None])
+        response = simulate_lanes(self.twin, candidates, coarser(part.road_excitation, _STEP))
+        return np.asarray(part.apply(response.stacked(self.channels))[rows] / self.unit[:, None])
 
 
-def _felt(one: _Pass, channels: Sequence[str]) -> Floats:
-    """(rows, C) measured channels of a pass."""
-    return np.stack([one.part.measured[c][one.rows] for c in channels], axis=1)
+def _felt(part: Observation, rows: NDArray[np.intp], channels: Sequence[str]) -> Floats:
+    """(rows, C) measured channels of a part of a drive."""
+    return np.stack([part.measured[c][rows] for c in channels], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
 class _Bank:
     """Every pass at places ``ahead`` (s,) and ``left`` (v,) m of its positions.
 
-    Of each pass (s, v): ``misfit``, the squared residual summed over its samples, and ``correlation`` of felt and
-    ``expected``.
+    Of k passes (k, s, v): ``misfit``, the squared residual summed over its samples, and ``correlation`` of felt and
+    expected.
     """
 
     drive: Observation
@@ -268,8 +285,8 @@ class _Bank:
     expectation: _Expectation
     ahead: Floats
     left: Floats
-    misfit: list[Floats]
-    correlation: list[Floats]
+    misfit: Floats
+    correlation: Floats
 
     @classmethod
     def of(cls, drive: Observation, twin: Twin, passes: list[_Pass]) -> _Bank:
@@ -285,21 +302,23 @@ class _Bank:
         left: Floats = _ACROSS * np.arange(-beside, beside + 1, dtype=np.float64)
         channels = VERTICAL if shaped else ("vertical_acceleration", "pitch_rate")
         expectation = _Expectation.of(twin, channels, passes)
-        misfit, correlation = [], []
-        for one in passes:
-            felt = expectation.felt(one)
-            off, alike = np.empty((2, ahead.size, left.size))
+        misfit, correlation = np.empty((2, len(passes), ahead.size, left.size))
+        for _, pieces in groupby(enumerate(passes), lambda p: id(p[1].segment)):
+            numbers, own = zip(*pieces, strict=True)
+            segment, rows = own[0].segment, np.concatenate([p.within for p in own])
+            felt = expectation.felt(segment, rows)
+            cuts = np.cumsum([p.within.size for p in own])[:-1].tolist()
             for k, beside_it in enumerate(left):
-                expected = expectation.at(one, ahead, np.full(ahead.size, beside_it))
-                power = np.sum(expected**2, axis=(0, 1)) * np.sum(felt**2)
-                off[:, k] = np.sum((expected - felt) ** 2, axis=(0, 1))
-                alike[:, k] = np.sum(expected * felt, axis=(0, 1)) / np.sqrt(np.maximum(power, 1e-12))
-            misfit.append(off)
-            correlation.append(alike)
+                expected = expectation.at(segment, rows, ahead, np.full(ahead.size, beside_it))
+                for number, e, f in zip(numbers, np.split(expected, cuts), np.split(felt, cuts), strict=True):
+                    power = np.sum(e**2, axis=(0, 1)) * np.sum(f**2)
+                    misfit[number, :, k] = np.sum((e - f) ** 2, axis=(0, 1))
+                    alike = np.sum(e * f, axis=(0, 1)) / np.sqrt(np.maximum(power, 1e-12))
+                    correlation[number, :, k] = alike
         return cls(drive, passes, expectation, ahead, left, misfit, correlation)
 
     def found(self) -> Placement:
-        """The places of all passes; WorkError where there is none.
+        """The places of all passes; NoPlaceError where there is none.
 
         A pass is left out where what is expected differs between its probable places by more than the residual, so that
         it could not be compared, or where it differs so much from what was felt.
@@ -309,7 +328,7 @@ class _Bank:
         size = sum(float(m.min()) for m in self.misfit) / rows.sum()
         independent = min(1.0, 2.0 * self.drive.bandwidth / self.drive.rate)
         marginals = self._smoothed([-0.5 * independent * m / size for m in self.misfit])
-        places, spans = [], list[tuple[float, float]]()
+        places, kept, spans = [], list[_Pass](), list[tuple[float, float]]()
         for one, likely, alike in zip(self.passes, marginals, self.correlation, strict=True):
             along, across = np.unravel_index(int(np.argmax(likely)), likely.shape)
             doubt = self._doubt(one, likely, (float(self.ahead[along]), float(self.left[across])))
@@ -317,13 +336,14 @@ class _Bank:
                 spans.append(one.span)
             else:
                 places.append((one.motion[0], float(self.ahead[along]), float(self.left[across])))
+                kept.append(one)
         if not places:
-            raise WorkError(
+            raise NoPlaceError(
                 f"{self.drive.name}: no place on the road {self.drive.road.name} is found for what was felt on its "
                 f"{len(spans)} passes, within {self.ahead[-1]:.0f} m of the positions of the receiver"
             )
         t, ahead, left = np.array(places).T
-        return Placement(t, ahead, left, tuple(spans))
+        return _Fine.of(self, kept).placement(Placement(t, ahead, left, len(kept), tuple(spans)))
 
     def _doubt(self, one: _Pass, likely: Floats, best: tuple[float, float]) -> float:
         """Mean square over the probable places of what is expected there less what is expected at the best."""
@@ -331,7 +351,7 @@ class _Bank:
         along, across = np.unravel_index(order, likely.shape)
         weight = likely.ravel()[order]
         ahead, left = np.append(best[0], self.ahead[along]), np.append(best[1], self.left[across])
-        expected = self.expectation.at(one, ahead, left)
+        expected = self.expectation.at(one.part, one.rows, ahead, left)
         apart = np.sum((expected[:, :, 1:] - expected[:, :, :1]) ** 2, axis=(0, 1))
         return float(apart @ weight / weight.sum())
 
@@ -359,6 +379,78 @@ class _Bank:
         for (a, b), own in zip(reversed(steps), reversed(likely[1:]), strict=True):
             backward.insert(0, _scaled(a @ (backward[0] * own) @ b.T))
         return [_scaled(f * g) for f, g in zip(forward, backward, strict=True)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Fine:
+    """The receiver's error at the ``knots`` (k,) s, along and, where the road's wheel paths differ, to the left, by
+    Gauss-Newton with the error's covariance as prior.
+
+    A displacement d(t) that is slow against the vehicle's motion changes the signals by d(t) times their derivative
+    to a constant one, which two more lanes of a simulation give. ``rows`` are the compared samples of the ``drive``,
+    ``hats`` (rows, k) of the linear interpolation between the knots, ``precision`` (k, k) the prior's, 1/m².
+    """
+
+    drive: Observation
+    expectation: _Expectation
+    knots: Floats
+    rows: NDArray[np.intp]
+    hats: Floats
+    precision: Floats
+    shaped: bool
+
+    @classmethod
+    def of(cls, bank: _Bank, passes: Sequence[_Pass]) -> _Fine:
+        """Over the compared samples of ``passes``."""
+        drive, spans = on_the_lane(bank.drive), [p.span for p in passes]
+        rows = np.flatnonzero(np.any([(drive.t >= a) & (drive.t <= b) for a, b in spans], axis=0))
+        first, last = spans[0][0], spans[-1][1]
+        knots = np.linspace(first, last, int(np.ceil((last - first) / drive.usage.priors.wander_seconds)) + 1)
+        course = np.interp(knots, drive.trajectory.t, np.unwrap(drive.trajectory.yaw))
+        covariance = course_covariance(np.stack([knots, course]), drive.position_sigma)
+        covariance += _ROUNDING * drive.position_sigma**2 * np.eye(knots.size)
+        hats = interpolated(drive.t[rows], knots, np.eye(knots.size))
+        shaped = bank.left.size > 1
+        precision = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
+        return cls(drive, bank.expectation, knots, rows, hats, precision, shaped)
+
+    def placement(self, coarse: Placement) -> Placement:
+        """The places at the knots, from those of the passes."""
+        best = np.stack([np.interp(self.knots, coarse.t, v) for v in (coarse.ahead, coarse.left)])
+        cost, step = self._quadratic(best)
+        for _ in range(_STEPS):
+            if np.abs(step).max() < _STILL:
+                break
+            reached, further = self._quadratic(best + step)
+            if reached < cost:
+                best, cost, step = best + step, reached, further
+            else:
+                step = 0.5 * step
+        return replace(coarse, t=self.knots, ahead=best[0], left=best[1])
+
+    def _quadratic(self, at: Floats) -> tuple[float, Floats]:
+        """The cost at the places ``at`` (2, k) m, ahead and left, and the step (2, k) m to the minimum of its quadratic
+        model, no longer than that holds."""
+        drive, k, free = self.drive.displaced(self.knots, *at), self.knots.size, 1 + self.shaped
+        near = np.array([0.0, _NEAR, 0.0])
+        expected = self.expectation.at(drive, self.rows, near, near[[0, 2, 1]])
+        miss = self.expectation.felt(drive, self.rows)[:, :, 0] - expected[:, :, 0]
+        slopes = (expected[:, :, 1 : 1 + free] - expected[:, :, :1]) / _NEAR
+        # the residual of each channel is its noise
+        independent = min(1.0, 2.0 * drive.bandwidth / drive.rate)
+        size = np.mean(miss**2, axis=0)
+        normal = np.kron(np.eye(free), self.precision)
+        pull = -normal @ at[:free].ravel()
+        cost = independent * self.rows.size * float(np.log(size).sum()) - float(at[:free].ravel() @ pull)
+        for c, weight in enumerate(independent / size):
+            jacobian = (slopes[:, c, :, None] * self.hats[:, None]).reshape(-1, free * k)
+            normal += weight * jacobian.T @ jacobian
+            pull += weight * jacobian.T @ miss[:, c]
+        step = np.zeros_like(at)
+        step[:free] = np.linalg.solve(normal, pull).reshape(free, k)
+        wave = _shortest_wave(drive, float(np.median(np.abs(drive.speed[self.rows]))))
+        limit = np.array([[0.25 * wave], [0.5 * _ACROSS]])
+        return cost, np.clip(step, -limit, limit)
 
 
 def _normal(x: Floats, mean: Floats | float, variance: float) -> Floats:
