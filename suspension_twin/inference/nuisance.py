@@ -73,8 +73,8 @@ class ClockPriors:
 class MapPriors:
     """Standard deviations of the place on the map along the road: ``map_position`` m of all drives, ``drive_map`` m of
     each, ``wander`` m (the GNSS position's own error, one value for every pass and ``wander_seconds``, in which its
-    speed hardly changes; None takes it from the fixes' covariance), ``tape`` m of the sizes of what was measured by tape (None: as the road's file
-    says)."""
+    speed hardly changes; None takes it from the fixes' covariance), ``tape`` m of the sizes of what was measured by
+    tape (None: as the road's file says)."""
 
     map_position: float = 0.0
     drive_map: float = 0.0
@@ -389,8 +389,8 @@ def course_covariance(motion: Floats, sigma: float) -> Floats:
     motion : (2, k) array
         Times in s and courses in rad.
     sigma : float
-        The receiver's horizontal standard deviation in m; its error is correlated over T, ``position_memory`` s, and has
-        a derivative, as the smoothed path has a speed: Matérn 3/2.
+        The receiver's horizontal standard deviation in m; its error is correlated over T, ``position_memory`` s, and
+        has a derivative, as the smoothed path has a speed: Matérn 3/2.
 
     Returns
     -------

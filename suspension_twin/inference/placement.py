@@ -7,13 +7,13 @@ receiver's own variance s² and a time constant T, and the way driven while the 
 
     cov(d_i, d_j) = s² cos(course_i - course_j) (1 + a) exp(-a) + var(c) v_i v_j,   a = sqrt(3) |t_i - t_j| / T.
 
-The drive is cut into passes, pieces of a few seconds on which the road is felt. A bank of places is simulated for each of them: the
-given twin over the same motion, with the road looked up farther ahead and, where the road's wheel paths differ, farther
-to the left. The pattern of vertical acceleration, pitch and roll rate that both axles make a wheelbase apart gives each
-place its likelihood. Passes follow one another as the states of a hidden Markov chain: forward and backward over it
-gives the most probable places and their marginal probabilities. Between the passes the places are found by
-Gauss-Newton at knots of time. What is left, some centimetres at each knot, is found with the vehicle (``wander`` of
-:mod:`~suspension_twin.inference.nuisance`).
+The drive is cut into passes, pieces of a few seconds on which the road is felt. A bank of places is simulated for each
+of them: the given twin over the same motion, with the road looked up farther ahead and, where the road's wheel paths
+differ, farther to the left. The pattern of vertical acceleration, pitch and roll rate that both axles make a wheelbase
+apart gives each place its likelihood. Passes follow one another as the states of a hidden Markov chain: forward and
+backward over it gives the most probable places and their marginal probabilities. Between the passes the places are
+found by Gauss-Newton at knots of time. What is left, some centimetres at each knot, is found with the vehicle
+(``wander`` of :mod:`~suspension_twin.inference.nuisance`).
 
 A receiver's error matters where three standard deviations of it move the wheels by more than half the shortest wave
 that the comparison passes, v / (2 f_c) at its cut-off f_c. Below that, nothing is placed.
@@ -55,9 +55,9 @@ _STEP = 2e-3
 SAME_ROAD = 0.5
 #: Places that are simulated once more, the most probable ones, to see how far they differ (numerics: four blocks).
 _PROBABLE = 64
-#: s of driving, at most, that one place is looked for: the error of the smoothed speed, sqrt(3) / 60 s of a phone's
-#: 2.5 m, moves it by less than half the shortest wave meanwhile.
-_LONGEST = 4.0
+#: s of driving that one place is looked for: the error of the smoothed speed, sqrt(3) / 60 s of a phone's 2.5 m, moves
+#: it by less than half the shortest wave meanwhile.
+_ONE_PLACE = 4.0
 #: Steps of the search between the passes, at most; m of a step below which it ends, and of a difference quotient; share
 #: of the prior's variance that keeps its inverse (numerics).
 _STEPS, _STILL, _NEAR, _ROUNDING = 12, 2e-3, 0.01, 1e-6
@@ -220,7 +220,7 @@ class _Pass:
 
 
 def _passes(drive: Observation) -> list[_Pass]:
-    """Pieces of a drive on which the road is felt, none longer than one place is looked for."""
+    """Pieces of a drive on which the road is felt, about as long as one place is looked for."""
     settings = replace(TrimSettings(), bridge=TrimSettings().window)
     # where the road ends is not known yet
     everywhere = replace(drive, mask=np.ones_like(drive.mask))
@@ -230,7 +230,7 @@ def _passes(drive: Observation) -> list[_Pass]:
         rows = fit_rows(wide, settings)
         if rows.size < 0.5 * drive.rate:
             continue
-        pieces = int(np.ceil(rows.size / drive.rate / _LONGEST))
+        pieces = max(round(rows.size / drive.rate / _ONE_PLACE), 1)
         for own in np.array_split(rows, pieces):
             start, end = float(wide.t[own[0]]), float(wide.t[own[-1]])
             part = drive.part(start - settings.lead, end + 0.5)

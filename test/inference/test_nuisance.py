@@ -387,7 +387,7 @@ def test_a_pass_of_just_one_knot_more() -> None:
 
 def test_a_drive_without_a_position_error_does_not_wander() -> None:
     parts = [part_of("one"), part_of("two")]
-    n = Nuisances(parts, [0, 1], FORCES, NOTHING, [0.0, 0.3])
+    n = Nuisances(parts, [0, 1], FORCES, replace(NOTHING, wander_seconds=60.0), [0.0, 0.3])
     assert n.names == ("two.wander.1.0",)
     signal = Waves(3, 1).at(parts[0].t[:, None])
     rows = rows_of(parts[0])
@@ -402,7 +402,7 @@ def test_a_vehicle_that_hardly_moves_is_nowhere_far_off_in_time(crawling: float,
     found = []
     for along in (crawling, as_if):
         part = part_of(along=along)
-        n = Nuisances([part], [0], FORCES, replace(NOTHING, map_position=1.0), [0.5])
+        n = Nuisances([part], [0], FORCES, replace(NOTHING, map_position=1.0, wander_seconds=60.0), [0.5])
         found.append(n.apply(0, signal, rows_of(part), np.array([[0.02], [0.01]])))
     np.testing.assert_array_equal(*found)
     assert np.abs(found[0] - signal[rows_of(part_of())]).max() > 0.05
