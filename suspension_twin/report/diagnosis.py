@@ -92,6 +92,7 @@ def _before_and_after(result: DiagnosisResult) -> Section:
     channel = wording.channel_of(d, lead)
     plural = "s" if len(d["combination"]) > 1 else ""
     after = f"with the cause{plural} in it" if lead else "recalibrated"
+    shown = "handed back as it came" if result.twin == result.given else after
     text = (
         f"The gap between twin and car in **{wording.channel_name(channel)}**, above the noise, on road that no fit "
         "has used; and the seconds in which the twin as given is worst."
@@ -101,7 +102,7 @@ def _before_and_after(result: DiagnosisResult) -> Section:
     if worst is None:
         return Section("Before and after", text, bars)
     view, cut = worst
-    drawn = _in_time(view, f"twin {after}", cut)
+    drawn = _in_time(view, f"twin {shown}", cut)
     start = float(view.t[cut.start] - view.t[0])
     caption = f"The worst {_SHOWN_SECONDS:.0f} seconds: {view.name}, from {start:.0f} s after its start."
     return Section("Before and after", text, bars, drawn, captions=(caption,))

@@ -83,3 +83,15 @@ def test_the_share_of_the_motion_with_nuisances_as_fitted_and_at_zero() -> None:
     for way, share in ((False, 0.4), (True, 0.1)):
         found = relative_residual(at, left, {CHANNEL: 1e-6}, [CHANNEL], True, way)
         assert found == pytest.approx(share, rel=1e-3)
+
+
+def test_one_bump_holds_all_of_the_gap() -> None:
+    """No draw leaves the one block out in which the gap is: elsewhere there is noise, of which nothing shrinks."""
+    rng = np.random.default_rng(5)
+    noise = 0.01 * rng.standard_normal((2, 1000, 1))
+    before, after = noise
+    before[300:400] += 1.0
+    after[300:400] += 0.2
+    found = shrink(problem_over([1000], before), blocks_of(1000, 1, 100), before, after, noise=0.01)
+    assert found.shrink == pytest.approx(0.8, abs=0.01)
+    assert found.interval[0] > 0.75

@@ -9,16 +9,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from suspension_twin.calibration.request import CalibrationRequest
+from suspension_twin.calibration.setup import set_up
+from suspension_twin.diagnosis.case import read_case
+from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive, FixData
+from suspension_twin.drive.write import write_drive
 from suspension_twin.errors import InputError
 from suspension_twin.inference.felt_passes import felt_passes
 from suspension_twin.inference.observation import observe
-from suspension_twin.inference.placement import is_open, on_one_clock, place
+from suspension_twin.inference.placement import NoPlaceError, is_open, on_one_clock, place
 from suspension_twin.inference.synthetic import synthetic_drive
 from suspension_twin.pose.local_map import LocalMap
-from suspension_twin.road import Road, bump_road, circular, flat_road, load_road
-from suspension_twin.vehicle.twin import Twin, load_twin
+from suspension_twin.road import Road, bump_road, circular, flat_road, load_road, write_road
+from suspension_twin.vehicle.twin import RoadFile, Twin, load_twin, save_twin
 
 KNOTS = ((0.0, 0.0), (4.0, 0.0), (7.0, 5.0), (13.0, 5.0), (15.0, 3.0))
 BUMP = bump_road(circular(0.9, 0.05), at=25.0, length=70.0)
@@ -80,11 +85,68 @@ def test_the_limit_is_half_the_shortest_wave(twin: Twin) -> None:
 @pytest.mark.long
 def test_a_bump_of_another_road_is_not_placed(twin: Twin) -> None:
     """Felt is a bump; on the road of the file there is none: the pass is not compared."""
-    from suspension_twin.errors import WorkError
-
     observed = observe(phone(driven(twin), twin, 1.0), twin, flat_road(length=70.0))
-    with pytest.raises(WorkError, match="no place on the road"):
+    with pytest.raises(NoPlaceError, match="no place on the road"):
         place(observed, twin)
+
+
+@pytest.mark.long
+def test_a_drive_of_no_place_is_left_out_where_another_has_one(
+    twin: Twin, softer: Twin, tmp_path: Path
+) -> None:
+    """The second drive went over a bump that the road of the file has not."""
+    other = bump_road(circular(2.5, 0.12), at=29.0, length=70.0)
+    bags = []
+    for name, road in (("there", BUMP), ("elsewhere", other)):
+        bags.append(str(tmp_path / name))
+        write_drive(replace(phone(driven(twin, road), twin, 1.0), name=name), tmp_path / name)
+    write_road(BUMP, tmp_path / "road.crg")
+    save_twin(
+        softer.model_copy(update={"road": RoadFile(file=tmp_path / "road.crg")}), tmp_path / "twin.yaml"
+    )
+    asked = str(tmp_path / "twin.yaml"), tuple(bags)
+    setup = set_up(CalibrationRequest(*asked), lambda _: None, lambda: False)
+    case = read_case(DiagnosisRequest(*asked), lambda _: None, lambda: False)
+    for drives, warnings in ((setup.drives, setup.warnings), (case.drives, case.warnings)):
+        assert [d.name for d in drives] == ["there"]
+        assert any(w.startswith("elsewhere: no place") and w.endswith("left out") for w in warnings)
+    assert len(setup.placements) == 1 and case.active == (True,)
+    with pytest.raises(NoPlaceError, match="elsewhere"):
+        read_case(DiagnosisRequest(asked[0], (bags[1],)), lambda _: None, lambda: False)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("across", [0.0, 0.35])
+def test_between_passes_a_place_is_found_to_centimetres(repository: Path, across: float) -> None:
+    """Positions drift by half a metre along the road and are off to the side, on a road whose wheel paths differ."""
+    folder = repository / "bags" / "crg_road"
+    exact, road = read_drive(folder), load_road(folder / "road.crg")
+    given = load_twin(folder / "twin.yaml")
+    assert given.datum is not None
+    frame, fix = LocalMap(given.datum), exact.fix
+    seen = observe(exact, given, road)
+    course = np.interp(fix.t, seen.trajectory.t, np.unwrap(seen.trajectory.yaw))
+    drift = 1.2 + 0.5 * np.sin(2.0 * np.pi * (fix.t - fix.t[0]) / 25.0)
+    enu = frame.to_map(fix.latitude, fix.longitude, fix.altitude)
+    enu[:, 0] -= drift * np.cos(course) - across * np.sin(course)
+    enu[:, 1] -= drift * np.sin(course) + across * np.cos(course)
+    latitude, longitude, altitude = frame.to_geodetic(enu).T
+    off = replace(
+        fix, latitude=latitude, longitude=longitude, altitude=altitude, sigma=np.full_like(fix.sigma, 1.5)
+    )
+    observed = observe(replace(exact, fix=off), given, road)
+    found = place(observed, given)
+    assert found is not None
+    path, truth = found.moved(observed).trajectory, seen.trajectory
+    used = path.valid & (path.t > found.t[0]) & (path.t < found.t[-1])
+    for start, end in found.spans:
+        used &= (path.t < start) | (path.t > end)
+    t, yaw = path.t[used], path.yaw[used]
+    x, y = np.interp(t, truth.t, truth.x) - path.x[used], np.interp(t, truth.t, truth.y) - path.y[used]
+    along, left = x * np.cos(yaw) + y * np.sin(yaw), y * np.cos(yaw) - x * np.sin(yaw)
+    assert used.mean() > 0.5
+    assert np.median(np.abs(along)) < 0.05
+    assert np.median(np.abs(left)) < 0.05
 
 
 @pytest.mark.parametrize("kept", [True, False])
