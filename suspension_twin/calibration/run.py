@@ -9,7 +9,7 @@ fraction of a second, and then returns the best so far.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,7 +26,7 @@ from suspension_twin.inference.checkpoint import Checkpoint
 from suspension_twin.inference.parallel import one_blas_thread
 from suspension_twin.inference.problem import Interrupted
 from suspension_twin.models.parameters import twin_value
-from suspension_twin.vehicle.twin import load_twin
+from suspension_twin.vehicle.twin import Twin, load_twin
 
 __all__ = ["calibrate"]
 
@@ -88,31 +88,49 @@ def calibrate(
 def _calibrated(
     request: CalibrationRequest, report: Callable[[Progress], None], stop: Callable[[], bool], began: float
 ) -> CalibrationResult:
-    """The calibration, once more where springs were driven out farther than the curve of the twin file lets them."""
+    """The calibration: once more where drives were placed to the side, which no nuisance parameter does, by the twin
+    that was found; and where springs were driven out farther than the curve of the twin file lets them."""
 
     def note(text: str) -> None:
         report(Progress("reading", note=text))
 
+    def once_more(
+        name: str, further: Mapping[str, float], by: Twin | None
+    ) -> tuple[Setup, CalibrationResult] | None:
+        """The calibration on a set-up of its own; None where it comes to no end."""
+        try:
+            setup = set_up(request, note, stop, further, by)
+            other = solve(request, setup, report, stop, began, name)
+        except WorkError:
+            return None
+        return setup, replace(other, evaluations=result.evaluations + other.evaluations)
+
     setup = set_up(request, note, stop)
     result = solve(request, setup, report, stop, began)
-    further: dict[str, float] = {}
-    for again in range(1, _AGAIN + 1):
-        off = _free_lengths(setup, result) if setup.preset.refined else {}
-        if not off:
-            break
-        moved = further | {axle: further.get(axle, 0.0) - x for axle, x in off.items()}
-        try:
-            setup = set_up(request, note, stop, moved)
-            other = solve(request, setup, report, stop, began, f"{again}")
-        except Interrupted:
-            return replace(result, stopped=True)
-        except WorkError:
-            break
-        if other.stopped:
-            return replace(result, stopped=True)
-        if other.cost >= result.cost:  # what ends there is no spring of another length
-            break
-        further, result = moved, replace(other, evaluations=result.evaluations + other.evaluations)
+    further, by = dict[str, float](), None
+    try:
+        beside = any(np.any(p.left) for p in setup.placements if p is not None)
+        if beside and not (result.stopped or result.refusal):
+            by = result.twin
+            found = once_more("placed", further, by)
+            if found is not None and found[1].stopped:
+                return replace(result, stopped=True)
+            setup, result = found or (setup, result)
+        for again in range(1, _AGAIN + 1):
+            off = _free_lengths(setup, result) if setup.preset.refined else {}
+            if not off:
+                break
+            moved = further | {axle: further.get(axle, 0.0) - x for axle, x in off.items()}
+            found = once_more(f"{again}", moved, by)
+            if found is None:
+                break
+            if found[1].stopped:
+                return replace(result, stopped=True)
+            if found[1].cost >= result.cost:  # what ends there is no spring of another length
+                break
+            further, (setup, result) = moved, found
+    except Interrupted:
+        return replace(result, stopped=True)
     longer = (
         f"{axle} spring: its compression counts from a free length {1e3 * x:+.0f} mm off that of the twin file, which "
         "the drives would else have taken for an end of its travel"

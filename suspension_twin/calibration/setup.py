@@ -102,10 +102,12 @@ def set_up(
     note: Callable[[str], None],
     should_stop: Callable[[], bool],
     further: Mapping[str, float] | None = None,
+    calibrated: Twin | None = None,
 ) -> Setup:
     """Read, check and align everything; raises InputError that names the file or the drive.
 
-    ``further`` m, by axle, lie the points of refined springs beyond those of the twin file."""
+    ``further`` m, by axle, lie the points of refined springs beyond those of the twin file. Drives whose place is open
+    are placed by what the ``calibrated`` twin makes of the road, or that of the request."""
     preset = preset_named(request.preset)
     given = load_twin(request.twin)
     original = with_effects(given, [*request.free, *request.also])
@@ -146,7 +148,7 @@ def set_up(
     for drive in renamed([on_one_clock(observe_checked(d, twin, road)) for d in alike]):
         note(f"placing {drive.name} on its road")
         try:
-            where = place(drive, twin)
+            where = place(drive, calibrated or twin)
         except NoPlaceError as error:
             left_out.append(error)
             continue

@@ -148,8 +148,14 @@ class Case:
         return roll, pitch, yaw
 
 
-def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Callable[[], bool]) -> Case:
-    """Read and check everything; raises InputError that names the file or the drive."""
+def read_case(
+    request: DiagnosisRequest,
+    note: Callable[[str], None],
+    stop: Callable[[], bool],
+    calibrated: Twin | None = None,
+) -> Case:
+    """Read and check everything; raises InputError that names the file or the drive. Drives whose place is open are
+    placed by what the ``calibrated`` twin makes of the road, or that of the request."""
     twin = load_twin(request.twin)
     _check(request, twin)
     active = tuple(i < len(request.bags) for i in range(len(request.bags) + len(request.reference)))
@@ -174,7 +180,7 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
             check_drive(in_reach(observation))
             observation = on_one_clock(observation)
             try:
-                where = place(observation, twin)
+                where = place(observation, calibrated or twin)
             except NoPlaceError as error:
                 return error
             observation = observation if where is None else where.kept(observation)

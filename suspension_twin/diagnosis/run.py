@@ -27,6 +27,7 @@ from suspension_twin.diagnosis.library import SETUP_CATEGORIES
 from suspension_twin.diagnosis.request import DiagnosisProgress, DiagnosisRequest, DiagnosisResult
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.inference.checkpoint import Checkpoint, Rounds, code_digest
+from suspension_twin.inference.fit import twin_of
 from suspension_twin.inference.observation import content_digest
 from suspension_twin.inference.parallel import one_blas_thread
 from suspension_twin.inference.problem import Problem
@@ -114,11 +115,18 @@ def _missed(level: float) -> str:
 def _judged(
     request: DiagnosisRequest, report: Callable[[DiagnosisProgress], None], stop: Callable[[], bool]
 ) -> tuple[Case, Judged]:
+
+    def note(text: str) -> None:
+        report(DiagnosisProgress("reading", 0.02, text))
+
     report(DiagnosisProgress("reading", 0.0))
-    case = read_case(request, lambda note: report(DiagnosisProgress("reading", 0.02, note)), stop)
+    case = read_case(request, note, stop)
     problem = build(case, stop)
     report(DiagnosisProgress("calibrating", 0.08, "the vehicle without any effect"))
     problem, base, anchor = baseline(case, problem)
+    if case.placed:  # by the vehicle that was found the places are known better
+        case = read_case(request, note, stop, twin_of(problem, base))
+        problem, base, anchor = baseline(case, build(case, stop))
     rounds = _rounds(request, case, problem)
     if not case.excited:
         problem, base = with_joint_noise(request, case, problem, base)

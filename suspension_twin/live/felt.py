@@ -28,18 +28,15 @@ from suspension_twin.models.sensor_chain import Chain
 from suspension_twin.models.simulate import CAR_SIGNALS, LaneBlocks, Stretch
 from suspension_twin.models.types import PoseSample
 from suspension_twin.pose.lock import PlanarState
-from suspension_twin.pose.place_bank import RECEIVER_TIME, PlaceBank, PlaceEvidence, correlate
+from suspension_twin.pose.place_bank import PlaceBank, PlaceEvidence, correlate
 from suspension_twin.pose.receiver_lateness import LATE, ReceiverLateness
-from suspension_twin.pose.types import VELOCITY_SHARE
+from suspension_twin.pose.types import POOR_FIX, RECEIVER_TIME, VELOCITY_SHARE
 from suspension_twin.road.road import Road
 from suspension_twin.signals.filters import CausalLowPass, FilterSpec
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["POOR_FIX", "FeltPosition", "FeltSettings", "felt_stage"]
+__all__ = ["FeltPosition", "FeltSettings", "felt_stage"]
 
-#: m: fixes with a larger standard deviation are worse than what is felt, which knows the place to some 0.1 m
-#: (benchmarks/felt.py).
-POOR_FIX = 0.3
 #: s within which the lock's speed comes back to the receiver's (measured: benchmarks/felt.py).
 _SPEED_TIME = 3.0
 #: m/s: the fastest that is driven where a place is felt, for the reach of the bank; the slowest at which it resolves

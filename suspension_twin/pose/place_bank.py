@@ -15,15 +15,13 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
+from suspension_twin.pose.types import RECEIVER_TIME
 
 __all__ = ["SHARES", "PlaceBank", "PlaceEvidence", "correlate"]
 
 #: Residuals of a model as shares of the motion: a calibrated one of a sound car leaves a fifth
 #: (benchmarks/discrepancy.py), a coarse one half of it, and at three quarters it explains nearly nothing.
 SHARES = np.array([0.2, 0.4, 0.75])
-#: s after which the error of a receiver is another one: the correlation time of multipath and atmosphere of code fixes,
-#: of the order of a minute (Kaplan and Hegarty, Understanding GPS, ch. 7). So long a place is remembered.
-RECEIVER_TIME = 60.0
 #: s after which a vehicle may have come onto the known road or left it (prior: once in a drive of an hour). A bump that
 #: is like one of the map is evidence of 10 to 15 nats: not enough against a road that was another one before it.
 _ROAD_TIME = 3600.0

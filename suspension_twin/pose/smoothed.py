@@ -17,6 +17,8 @@ from suspension_twin.pose import ekf
 from suspension_twin.pose.ekf import planar_inputs, smooth
 from suspension_twin.pose.local_map import LocalMap
 from suspension_twin.pose.types import (
+    POOR_FIX,
+    RECEIVER_TIME,
     REVERSE_SPEED,
     REVERSE_TIME,
     SLOPE_TIME,
@@ -327,18 +329,19 @@ def locked_trajectory(
     states = np.empty((nodes.t.size, ekf.STATES))
     covariances = np.empty((nodes.t.size, ekf.STATES, ekf.STATES))
     weights = np.zeros(nodes.t.size)
-    factor = np.ones(nodes.t.size)
+    slow = _slow_factor(measured)
+    factor = np.where(nodes.kind == ekf.FIX, max(slow, 1.0), 1.0)
     share = 1.0
     for _ in range(PASSES):
         now = _with(nodes, share, factor)
         ekf.forward(now.t, now.inputs, now.kind, now.z, start, spread, noise, states, covariances, weights)
         smooth(now.t, now.inputs, noise, states, covariances)
         share = _sway_share(now, states, share)
-        factor = _noise_factors(_with(nodes, share, np.ones(nodes.t.size)), states)
+        factor = _noise_factors(_with(nodes, share, np.ones(nodes.t.size)), states, slow)
     if not np.isfinite(states).all():
         raise InputError(drive.name, "no pose agrees with its IMU and receiver: are the units right?")
     t = np.asarray(t, dtype=np.float64)
-    return _evaluate(t, nodes, states, signals, rows, _valid(t, nodes, factor, settings))
+    return _evaluate(t, nodes, states, signals, rows, _valid(t, nodes, factor / max(slow, 1.0), settings))
 
 
 def _with(nodes: Nodes, share: float, factor: Floats) -> Nodes:
@@ -378,9 +381,24 @@ def _sway_share(nodes: Nodes, states: Floats, share: float) -> float:
     return float(np.clip(total / weight, 0.0, 1.2))
 
 
-def _noise_factors(nodes: Nodes, states: Floats) -> Floats:
+def _slow_factor(measured: Measurements) -> float:
+    """Factor on the standard deviation of fixes whose error is slow, 0 where it is not.
+
+    The error of a fix by code has the variance s² and the correlation time T. Below the frequency 1 / T its spectral
+    density is that of white noise with the variance s² 2 T / dt, a fix every dt; above, velocities know the motion
+    better, without which the fixes alone have to give it.
+    """
+    fixes = measured.kind == ekf.FIX
+    t, sigma = measured.t[fixes], measured.z[fixes, 2]
+    if not (measured.kind == ekf.VELOCITY).any() or t.size < 2 or not np.median(sigma) > POOR_FIX:
+        return 0.0
+    return math.sqrt(max(2.0 * RECEIVER_TIME / float(np.median(np.diff(t))), 1.0))
+
+
+def _noise_factors(nodes: Nodes, states: Floats, slow: float) -> Floats:
     """(k,) factors on the standard deviations: the noise that the residuals show for each kind of
-    measurement, and more for each that lies further off than its kind does."""
+    measurement, and more for each that lies further off than its kind does; ``slow`` that of fixes whose error is slow,
+    which their residuals do not show."""
     factor = np.ones(nodes.kind.size)
     for which in (ekf.FIX, ekf.VELOCITY):
         at = nodes.kind == which
@@ -390,7 +408,8 @@ def _noise_factors(nodes: Nodes, states: Floats) -> Floats:
         # The median of a Rayleigh distribution lies at 1.1774 standard deviations.
         common = float(np.clip(np.median(off) / 1.1774, 0.3, 10.0)) if off.size >= 20 else 1.0
         far = off / (3.5 * common)
-        factor[at] = common * np.where(far > 1.0, np.minimum(far**2, 1.0e4), 1.0)
+        own = slow if slow and which == ekf.FIX else common
+        factor[at] = own * np.where(far > 1.0, np.minimum(far**2, 1.0e4), 1.0)
     return factor
 
 

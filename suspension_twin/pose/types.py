@@ -13,6 +13,8 @@ from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 
 __all__ = [
+    "POOR_FIX",
+    "RECEIVER_TIME",
     "REVERSE_SPEED",
     "REVERSE_TIME",
     "SLOPE_TIME",
@@ -88,6 +90,12 @@ SWAY_SIGMA = 0.3
 #: m/s of a velocity's standard deviation for each m of the fixes', at least: a receiver that is bad at one is at both
 #: (prior, by hand).
 VELOCITY_SHARE = 0.05
+#: s after which the error of a receiver is another one: the correlation time of multipath and atmosphere of code fixes,
+#: of the order of a minute (Kaplan and Hegarty, Understanding GPS, ch. 7). So long a place is remembered.
+RECEIVER_TIME = 60.0
+#: m: fixes with a larger standard deviation are those of code, not of carrier phase. They are worse than what is felt,
+#: which knows the place to some 0.1 m (benchmarks/felt.py).
+POOR_FIX = 0.3
 
 
 @dataclass(frozen=True)
