@@ -93,17 +93,19 @@ _METRES, _SECONDS = 8.0, 4.0
 @dataclass(frozen=True, eq=False)
 class PlaceShift:
     """How far a path is moved ``ahead`` along the vehicle's course and to the ``left``, (k,) m at the times ``t`` (k,)
-    s: linear between them, constant beyond."""
+    s: linear between them, constant beyond; ``turned`` rad, counter-clockwise, is the vehicle everywhere."""
 
     t: Floats
     ahead: Floats
     left: Floats
+    turned: float = 0.0
 
     def of(self, path: Trajectory) -> Trajectory:
         """The path moved."""
         along, across = (np.interp(path.t, self.t, metres) for metres in (self.ahead, self.left))
         cos, sin = np.cos(path.yaw), np.sin(path.yaw)
-        return replace(path, x=path.x + along * cos - across * sin, y=path.y + along * sin + across * cos)
+        x, y = path.x + along * cos - across * sin, path.y + along * sin + across * cos
+        return replace(path, x=x, y=y, yaw=path.yaw + self.turned)
 
 
 @dataclass(frozen=True)
@@ -445,10 +447,12 @@ class Observation(Grid):
         """The same drive on another road."""
         return _observed(replace(self.source, road=road), self)
 
-    def displaced(self, t: Floats, ahead: Floats, left: Floats | None = None) -> Observation:
+    def displaced(
+        self, t: Floats, ahead: Floats, left: Floats | None = None, turned: float = 0.0
+    ) -> Observation:
         """The same drive with its path ``ahead`` along the vehicle's course and to the ``left`` by these (k,) m at the
-        times ``t`` (k,) s: linear between them, constant beyond."""
-        shift = PlaceShift(t, ahead, np.zeros_like(ahead) if left is None else left)
+        times ``t`` (k,) s: linear between them, constant beyond; the vehicle ``turned`` by as many rad."""
+        shift = PlaceShift(t, ahead, np.zeros_like(ahead) if left is None else left, turned)
         return _observed(replace(self.source, trajectory=shift.of(self.trajectory)), self)
 
 

@@ -27,6 +27,7 @@ from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from suspension_twin.arrays import Floats, interpolated
 from suspension_twin.effects.registry import effect
@@ -40,6 +41,7 @@ from suspension_twin.models.excitation import coarser
 from suspension_twin.models.parameters import lanes
 from suspension_twin.models.simulate import simulate_lanes
 from suspension_twin.pose.imu_gnss_consistency import consistency
+from suspension_twin.pose.types import PoseSettings
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["SAME_ROAD", "NoPlaceError", "Placement", "in_reach", "is_open", "on_one_clock", "place"]
@@ -58,9 +60,9 @@ _PROBABLE = 64
 #: s of driving that one place is looked for: the error of the smoothed speed, sqrt(3) / 60 s of a phone's 2.5 m, moves
 #: it by less than half the shortest wave meanwhile.
 _ONE_PLACE = 4.0
-#: Steps of the search between the passes, at most; m of a step below which it ends, and of a difference quotient; share
-#: of the prior's variance that keeps its inverse (numerics).
-_STEPS, _STILL, _NEAR, _ROUNDING = 12, 2e-3, 0.01, 1e-6
+#: Steps of the search between the passes, at most; m of a step below which it ends, m and rad of difference quotients;
+#: share of the prior's variance that keeps its inverse (numerics).
+_STEPS, _STILL, _NEAR, _NEARLY, _ROUNDING = 12, 2e-3, 0.01, 2e-3, 1e-6
 _ALONG, _LEFT = "position_offset", "lateral_offset"
 
 
@@ -76,17 +78,19 @@ class NoPlaceError(WorkError):
 @dataclass(frozen=True, eq=False)
 class Placement:
     """Places of ``passes`` against their positions: how much farther ``ahead`` along the vehicle's course and to the
-    ``left`` the drive was at ``t`` s, each (k,) m; ``spans`` of passes that could not be placed, in s."""
+    ``left`` the drive was at ``t`` s, each (k,) m, and by how many rad it was ``turned``; ``spans`` of passes that
+    could not be placed, in s."""
 
     t: Floats
     ahead: Floats
     left: Floats
     passes: int
     spans: tuple[tuple[float, float], ...] = ()
+    turned: float = 0.0
 
     def moved(self, observation: Observation) -> Observation:
         """The drive where it was found, linear between the times; passes that could not be placed are not compared."""
-        found = on_the_lane(observation).displaced(self.t, self.ahead, self.left)
+        found = on_the_lane(observation).displaced(self.t, self.ahead, self.left, self.turned)
         source, path = found.source, found.trajectory
         valid = path.valid.copy()
         for start, end in self.spans:
@@ -100,7 +104,7 @@ class Placement:
         moved, path = self.moved(observation), observation.trajectory
         x, y = moved.trajectory.x - path.x, moved.trajectory.y - path.y
         cos, sin = np.cos(path.yaw), np.sin(path.yaw)
-        shift = PlaceShift(path.t, x * cos + y * sin, y * cos - x * sin)
+        shift = PlaceShift(path.t, x * cos + y * sin, y * cos - x * sin, self.turned)
         settings = replace(observation.settings, placed=shift)
         return replace(moved, reading=replace(moved.source, settings=settings))
 
@@ -383,12 +387,13 @@ class _Bank:
 
 @dataclass(frozen=True, eq=False)
 class _Fine:
-    """The receiver's error at the ``knots`` (k,) s, along and, where the road's wheel paths differ, to the left, by
-    Gauss-Newton with the error's covariance as prior.
+    """The receiver's error at the ``knots`` (k,) s along the road, by Gauss-Newton with its covariance as prior. Where
+    the road's wheel paths differ it is found to the left as well, and so is the error of the heading.
 
     A displacement d(t) that is slow against the vehicle's motion changes the signals by d(t) times their derivative
-    to a constant one, which two more lanes of a simulation give. ``rows`` are the compared samples of the ``drive``,
-    ``hats`` (rows, k) of the linear interpolation between the knots, ``precision`` (k, k) the prior's, 1/m².
+    to a constant one, which more lanes of a simulation give. ``rows`` are the compared samples of the ``drive``,
+    ``hats`` (rows, k) of the linear interpolation between the knots, ``precision`` that of the prior of the unknowns:
+    (k,) m ahead, or these, (k,) m to the left, and the heading in rad.
     """
 
     drive: Observation
@@ -397,7 +402,6 @@ class _Fine:
     rows: NDArray[np.intp]
     hats: Floats
     precision: Floats
-    shaped: bool
 
     @classmethod
     def of(cls, bank: _Bank, passes: Sequence[_Pass]) -> _Fine:
@@ -410,47 +414,61 @@ class _Fine:
         covariance = course_covariance(np.stack([knots, course]), drive.position_sigma)
         covariance += _ROUNDING * drive.position_sigma**2 * np.eye(knots.size)
         hats = interpolated(drive.t[rows], knots, np.eye(knots.size))
-        shaped = bank.left.size > 1
         precision = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
-        return cls(drive, bank.expectation, knots, rows, hats, precision, shaped)
+        if bank.left.size > 1:
+            precision = block_diag(precision, precision, PoseSettings().heading_sigma ** -2.0)
+        return cls(drive, bank.expectation, knots, rows, hats, precision)
 
     def placement(self, coarse: Placement) -> Placement:
         """The places at the knots, from those of the passes."""
-        best = np.stack([np.interp(self.knots, coarse.t, v) for v in (coarse.ahead, coarse.left)])
+        k = self.knots.size
+        at = [np.interp(self.knots, coarse.t, v) for v in (coarse.ahead, coarse.left)]
+        best = np.concatenate([*at, np.zeros(1)])[: len(self.precision)]
         cost, step = self._quadratic(best)
         for _ in range(_STEPS):
-            if np.abs(step).max() < _STILL:
+            if np.abs(step[: 2 * k]).max() < _STILL:
                 break
             reached, further = self._quadratic(best + step)
             if reached < cost:
                 best, cost, step = best + step, reached, further
             else:
                 step = 0.5 * step
-        return replace(coarse, t=self.knots, ahead=best[0], left=best[1])
+        ahead, left, turned = self._split(best)
+        return replace(coarse, t=self.knots, ahead=ahead, left=left, turned=turned)
+
+    def _split(self, at: Floats) -> tuple[Floats, Floats, float]:
+        """(k,) m ahead and to the left, and rad of the heading."""
+        k = self.knots.size
+        return (at[:k], at[k : 2 * k], float(at[-1])) if at.size > k else (at, np.zeros(k), 0.0)
 
     def _quadratic(self, at: Floats) -> tuple[float, Floats]:
-        """The cost at the places ``at`` (2, k) m, ahead and left, and the step (2, k) m to the minimum of its quadratic
-        model, no longer than that holds."""
-        drive, k, free = self.drive.displaced(self.knots, *at), self.knots.size, 1 + self.shaped
+        """The cost at the unknowns ``at``, and the step to the minimum of its quadratic model, no longer than that
+        holds."""
+        k, (ahead, left, turned) = self.knots.size, self._split(at)
+        drive = self.drive.displaced(self.knots, ahead, left, turned)
         near = np.array([0.0, _NEAR, 0.0])
         expected = self.expectation.at(drive, self.rows, near, near[[0, 2, 1]])
         miss = self.expectation.felt(drive, self.rows)[:, :, 0] - expected[:, :, 0]
-        slopes = (expected[:, :, 1 : 1 + free] - expected[:, :, :1]) / _NEAR
+        slopes = (expected[:, :, 1:] - expected[:, :, :1]) / _NEAR
+        columns = [slopes[:, :, :1] * self.hats[:, None]]
+        if at.size > k:
+            nearly = self.drive.displaced(self.knots, ahead, left, turned + _NEARLY)
+            beside = self.expectation.at(nearly, self.rows, near[:1], near[:1]) - expected[:, :, :1]
+            columns += [slopes[:, :, 1:] * self.hats[:, None], beside / _NEARLY]
+        jacobian = np.concatenate(columns, axis=2)
         # the residual of each channel is its noise
         independent = min(1.0, 2.0 * drive.bandwidth / drive.rate)
         size = np.mean(miss**2, axis=0)
-        normal = np.kron(np.eye(free), self.precision)
-        pull = -normal @ at[:free].ravel()
-        cost = independent * self.rows.size * float(np.log(size).sum()) - float(at[:free].ravel() @ pull)
+        pull = -self.precision @ at
+        cost = independent * self.rows.size * float(np.log(size).sum()) - float(at @ pull)
+        normal = self.precision.copy()
         for c, weight in enumerate(independent / size):
-            jacobian = (slopes[:, c, :, None] * self.hats[:, None]).reshape(-1, free * k)
-            normal += weight * jacobian.T @ jacobian
-            pull += weight * jacobian.T @ miss[:, c]
-        step = np.zeros_like(at)
-        step[:free] = np.linalg.solve(normal, pull).reshape(free, k)
+            normal += weight * jacobian[:, c].T @ jacobian[:, c]
+            pull += weight * jacobian[:, c].T @ miss[:, c]
         wave = _shortest_wave(drive, float(np.median(np.abs(drive.speed[self.rows]))))
-        limit = np.array([[0.25 * wave], [0.5 * _ACROSS]])
-        return cost, np.clip(step, -limit, limit)
+        limit = np.append(np.repeat([0.25 * wave, 0.5 * _ACROSS], k), _ACROSS / drive.twin.vehicle.wheelbase)
+        step = np.linalg.solve(normal, pull)
+        return cost, np.clip(step, -limit[: at.size], limit[: at.size])
 
 
 def _normal(x: Floats, mean: Floats | float, variance: float) -> Floats:
