@@ -145,6 +145,18 @@ def test_wrong_characteristics_alone_are_recalibrated_and_twice_the_same(
 
 
 @pytest.mark.long
+def test_one_bump_recalibrates_the_twin_that_never_was_calibrated(repository: Path) -> None:
+    """All of the gap is in one block of the road: its shrink is proven nonetheless, and the answer says what it says."""
+    bump = repository / "bags" / "bump_15kmh"
+    result = diagnose(DiagnosisRequest(str(bump / "twin.yaml"), (str(bump),), effects=FEW))
+    assert result.document["verdict"] == "recalibration"
+    assert result.document["recalibration"]["shrink_interval"][0] > 0.5
+    moved = {one["characteristic"] for one in result.document["recalibrated"]}
+    assert {"front damper, both ways", "rear damper, both ways"} <= moved
+    assert "twin recalibrated" in diagnosis_page(result).render()
+
+
+@pytest.mark.long
 def test_a_healthy_twin_is_handed_back_as_it_came(make: Any, car: Twin, tmp_path: Path) -> None:
     twin, bags, _ = make()
     sound = load_twin(twin).with_changes({"vehicle.front.damper_push.force": [230.0, 480.0, 700.0, 810.0]})
