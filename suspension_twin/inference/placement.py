@@ -60,9 +60,9 @@ _PROBABLE = 64
 #: s of driving that one place is looked for: the error of the smoothed speed, sqrt(3) / 60 s of a phone's 2.5 m, moves
 #: it by less than half the shortest wave meanwhile.
 _ONE_PLACE = 4.0
-#: Steps of the search between the passes, at most; m of a step below which it ends, m and rad of difference quotients;
-#: share of the prior's variance that keeps its inverse (numerics).
-_STEPS, _STILL, _NEAR, _NEARLY, _ROUNDING = 12, 2e-3, 0.01, 2e-3, 1e-6
+#: Steps of the search between the passes, at most; m of a step below which it ends, and of a difference quotient
+#: (numerics).
+_STEPS, _NEAR = 12, 2e-3
 _ALONG, _LEFT = "position_offset", "lateral_offset"
 
 
@@ -411,9 +411,8 @@ class _Fine:
         first, last = spans[0][0], spans[-1][1]
         knots = np.linspace(first, last, int(np.ceil((last - first) / drive.usage.priors.wander_seconds)) + 1)
         course = np.interp(knots, drive.trajectory.t, np.unwrap(drive.trajectory.yaw))
-        covariance = course_covariance(np.stack([knots, course]), drive.position_sigma)
-        covariance += _ROUNDING * drive.position_sigma**2 * np.eye(knots.size)
         hats = interpolated(drive.t[rows], knots, np.eye(knots.size))
+        covariance = course_covariance(np.stack([knots, course]), drive.position_sigma)
         precision = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
         if bank.left.size > 1:
             precision = block_diag(precision, precision, PoseSettings().heading_sigma ** -2.0)
@@ -426,7 +425,7 @@ class _Fine:
         best = np.concatenate([*at, np.zeros(1)])[: len(self.precision)]
         cost, step = self._quadratic(best)
         for _ in range(_STEPS):
-            if np.abs(step[: 2 * k]).max() < _STILL:
+            if np.abs(step[: 2 * k]).max() < _NEAR:
                 break
             reached, further = self._quadratic(best + step)
             if reached < cost:
@@ -452,9 +451,10 @@ class _Fine:
         slopes = (expected[:, :, 1:] - expected[:, :, :1]) / _NEAR
         columns = [slopes[:, :, :1] * self.hats[:, None]]
         if at.size > k:
-            nearly = self.drive.displaced(self.knots, ahead, left, turned + _NEARLY)
-            beside = self.expectation.at(nearly, self.rows, near[:1], near[:1]) - expected[:, :, :1]
-            columns += [slopes[:, :, 1:] * self.hats[:, None], beside / _NEARLY]
+            turn = _NEAR / drive.twin.vehicle.wheelbase
+            other = self.drive.displaced(self.knots, ahead, left, turned + turn)
+            beside = self.expectation.at(other, self.rows, near[:1], near[:1]) - expected[:, :, :1]
+            columns += [slopes[:, :, 1:] * self.hats[:, None], beside / turn]
         jacobian = np.concatenate(columns, axis=2)
         # the residual of each channel is its noise
         independent = min(1.0, 2.0 * drive.bandwidth / drive.rate)
