@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,6 +31,7 @@ from suspension_twin.inference.checkpoint import Checkpoint, Rounds, code_digest
 from suspension_twin.inference.fit import twin_of
 from suspension_twin.inference.observation import content_digest
 from suspension_twin.inference.parallel import one_blas_thread
+from suspension_twin.inference.placement import NoPlaceError
 from suspension_twin.inference.problem import Problem
 from suspension_twin.vehicle.twin import load_twin
 
@@ -125,8 +127,9 @@ def _judged(
     report(DiagnosisProgress("calibrating", 0.08, "the vehicle without any effect"))
     problem, base, anchor = baseline(case, problem)
     if case.placed:  # by the vehicle that was found the places are known better
-        case = read_case(request, note, stop, twin_of(problem, base))
-        problem, base, anchor = baseline(case, build(case, stop))
+        with suppress(NoPlaceError):
+            case = read_case(request, note, stop, twin_of(problem, base))
+            problem, base, anchor = baseline(case, build(case, stop))
     rounds = _rounds(request, case, problem)
     if not case.excited:
         problem, base = with_joint_noise(request, case, problem, base)

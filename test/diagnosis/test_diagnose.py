@@ -146,7 +146,7 @@ def test_wrong_characteristics_alone_are_recalibrated_and_twice_the_same(
 
 @pytest.mark.long
 def test_one_bump_recalibrates_the_twin_that_never_was_calibrated(repository: Path) -> None:
-    """All of the gap is in one block of the road: its shrink is proven nonetheless, and the answer says what it says."""
+    """All of the gap is in one block of the road: its shrink is proven nonetheless."""
     bump = repository / "bags" / "bump_15kmh"
     result = diagnose(DiagnosisRequest(str(bump / "twin.yaml"), (str(bump),), effects=FEW))
     assert result.document["verdict"] == "recalibration"
