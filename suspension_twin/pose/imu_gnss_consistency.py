@@ -165,10 +165,16 @@ def _yaw_change(pair: _Pair) -> tuple[float, float] | None:
 def _best_delay(force: Complexes, reference: Complexes, used: NDArray[np.bool_]) -> tuple[float, complex]:
     """Lag in s of the force against the path with the largest correlation, and the correlation there."""
     most = min(round(_LARGEST_LAG * RATE), reference.size - 1)
-    values = np.array([_correlation(force, reference, used, k) for k in range(-most, most + 1)])
+    reach = min(round(_CLOCK_OFFSET_ERROR * RATE), most)
+    # of the many long lags one fits a few seconds of driving by chance
+    values = np.array(
+        [
+            _correlation(force, reference, used, k, 5.0 if abs(k) <= reach else 10.0)
+            for k in range(-most, most + 1)
+        ]
+    )
     size = np.abs(values)
     best = int(np.argmax(size))
-    reach = min(round(_CLOCK_OFFSET_ERROR * RATE), most)
     near = most - reach + int(np.argmax(size[most - reach : most + reach + 1]))
     if size[best] - size[near] < _LEAST_MARGIN:
         best = near
@@ -188,13 +194,15 @@ def _reversed(rates: Floats, used: NDArray[np.bool_], k: int) -> bool:
     return _correlation(rate.astype(complex), reference.astype(complex), used, k).real < -_LEAST_CORRELATION
 
 
-def _correlation(force: Complexes, reference: Complexes, used: NDArray[np.bool_], k: int) -> complex:
+def _correlation(
+    force: Complexes, reference: Complexes, used: NDArray[np.bool_], k: int, seconds: float = 5.0
+) -> complex:
     """Correlation of the ``force``, ``k`` samples later, with the path; 0 where they overlap by less than half of its
-    energy."""
+    energy, or by less than as many ``seconds``."""
     first, last = max(-k, 0), min(reference.size - k, reference.size)
     own = np.flatnonzero(used[first:last]) + first
     a, p = reference[own], force[own + k]
-    if own.size < 5 * RATE or np.linalg.norm(a) ** 2 < 0.5 * np.linalg.norm(reference) ** 2:
+    if own.size < seconds * RATE or np.linalg.norm(a) ** 2 < 0.5 * np.linalg.norm(reference) ** 2:
         return 0.0j
     a, p = a - a.mean(), p - p.mean()
     return complex(np.sum(p * a.conj()) / max(float(np.linalg.norm(a) * np.linalg.norm(p)), 1e-12))

@@ -292,3 +292,19 @@ def test_a_map_that_starts_anywhere_is_said_instead_of_the_road(
     nowhere = observe(drive, placed.model_copy(update={"datum": None}))
     assert [w for w in nowhere.warnings if "no datum: the map starts at the first fix" in w]
     assert not any("off the road" in w for w in nowhere.warnings)
+
+
+def test_a_few_seconds_of_driving_tell_no_long_delay(twin: Twin, bumps: Road) -> None:
+    """What was felt 26 s before is by chance more like the motion than what was felt then: nine seconds prove
+    nothing."""
+    knots = [(0.0, 0.0), (30.0, 0.0), (33.0, 4.0), (36.0, 2.0), (39.0, 0.0), (60.0, 0.0)]
+    brief = synthetic_drive(twin, bumps, knots, seed=4, errors=SensorErrors(), name="ride")
+    imu, t = brief.imu, brief.imu.t - brief.imu.t[0]
+    force = imu.specific_force.copy()
+    moving, before = (t > 29.0) & (t < 40.0), (t > 3.0) & (t < 14.0)
+    force[before, 0] += np.interp(t[before] + 26.0, t, imu.specific_force[:, 0] - imu.specific_force[0, 0])
+    force[moving, 0] += 2.5 * np.sin(2.0 * np.pi * 0.25 * t[moving])
+    spoilt = replace(brief, imu=replace(imu, specific_force=force))
+    assert twin.datum is not None
+    told = consistency(spoilt, ingest_drive(spoilt, twin.imu), twin.gps, twin.datum)
+    assert told is None or abs(told.clock_offset) <= 2.0
