@@ -109,7 +109,7 @@ def report(cases: list[Spec], options: argparse.Namespace, tell: Callable[[str],
         result["baselines"] = baselines.compare(rows, options.out, options.baselines, tell)
     picture.draw(rows, result, options.out / "confusion.png")
     if options.keep:
-        _keep(rows, result, options.add)
+        _keep(rows, result, options.add, options.receiver)
     if options.json:
         print(json.dumps(result))
     else:
@@ -133,10 +133,10 @@ def _result(rows: list[Row], seals: list[str], seeds: str, planned: int) -> dict
     }
 
 
-def _keep(rows: list[Row], result: dict[str, Any], add: bool) -> None:
+def _keep(rows: list[Row], result: dict[str, Any], add: bool, receiver: str) -> None:
     """Write the table, its rows and the picture; with ``add`` beside the answers to other cases that were kept."""
     RESULTS.mkdir(parents=True, exist_ok=True)
-    file = RESULTS / f"blind_{result['seeds']}.json"
+    file = RESULTS / f"blind_{result['seeds']}{'' if receiver == 'rtk' else f'_{receiver}'}.json"
     if add and file.is_file():
         before, new = json.loads(file.read_text(encoding="utf-8")), {r["case"] for r in rows}
         known = before["labels_sha256"]

@@ -57,8 +57,8 @@ _STEP = 2e-3
 SAME_ROAD = 0.5
 #: Places that are simulated once more, the most probable ones, to see how far they differ (numerics: four blocks).
 _PROBABLE = 64
-#: s of driving that one place is looked for: the error of the smoothed speed, sqrt(3) / 60 s of a phone's 2.5 m, moves
-#: it by less than half the shortest wave meanwhile.
+#: s of driving that one place is looked for (prior): the error of the smoothed speed, sqrt(3) / 60 s of a phone's
+#: 2.5 m, moves it by 0.14 m to either side of the middle, half the shortest wave at 6 m/s.
 _ONE_PLACE = 4.0
 #: Steps of the search between the passes, at most; m of a step below which it ends, and of a difference quotient
 #: (numerics).
@@ -202,7 +202,7 @@ def place(drive: Observation, twin: Twin) -> Placement | None:
 @dataclass(frozen=True, eq=False)
 class _Pass:
     """A piece of driving on which the road is felt: its ``part`` with the lead, the samples ``rows`` of it that are
-    compared, and the whole ``segment`` that it is a piece of, in which these are the samples ``within``."""
+    compared, and the ``segment`` of some pieces that is simulated at once, in which they are those ``within``."""
 
     part: Observation
     rows: NDArray[np.intp]
@@ -234,13 +234,20 @@ def _passes(drive: Observation) -> list[_Pass]:
         rows = fit_rows(wide, settings)
         if rows.size < 0.5 * drive.rate:
             continue
-        pieces = max(round(rows.size / drive.rate / _ONE_PLACE), 1)
-        for own in np.array_split(rows, pieces):
-            start, end = float(wide.t[own[0]]), float(wide.t[own[-1]])
-            part = drive.part(start - settings.lead, end + 0.5)
-            inside = np.flatnonzero((part.t >= start) & (part.t <= end))
-            found.append(_Pass(part, inside, wide, own))
+        pieces = np.array_split(rows, max(round(rows.size / drive.rate / _ONE_PLACE), 1))
+        # simulated eight at a time, which bounds the memory of a long drive
+        for together in (pieces[k : k + 8] for k in range(0, len(pieces), 8)):
+            spans = [(float(wide.t[own[0]]), float(wide.t[own[-1]])) for own in together]
+            whole = drive.part(spans[0][0] - settings.lead, spans[-1][1] + 0.5)
+            for start, end in spans:
+                part = drive.part(start - settings.lead, end + 0.5)
+                found.append(_Pass(part, _between(part, start, end), whole, _between(whole, start, end)))
     return found
+
+
+def _between(part: Observation, start: float, end: float) -> NDArray[np.intp]:
+    """Samples with stamps from ``start`` to ``end`` s."""
+    return np.flatnonzero((part.t >= start) & (part.t <= end))
 
 
 @dataclass(frozen=True, eq=False)
@@ -409,7 +416,10 @@ class _Fine:
         drive, spans = on_the_lane(bank.drive), [p.span for p in passes]
         rows = np.flatnonzero(np.any([(drive.t >= a) & (drive.t <= b) for a, b in spans], axis=0))
         first, last = spans[0][0], spans[-1][1]
-        knots = np.linspace(first, last, int(np.ceil((last - first) / drive.usage.priors.wander_seconds)) + 1)
+        apart = drive.usage.priors.wander_seconds
+        knots = np.linspace(first, last, int(np.ceil((last - first) / apart)) + 1)
+        # none where nothing is felt for long
+        knots = knots[np.any([(knots > a - apart) & (knots < b + apart) for a, b in spans], axis=0)]
         course = np.interp(knots, drive.trajectory.t, np.unwrap(drive.trajectory.yaw))
         hats = interpolated(drive.t[rows], knots, np.eye(knots.size))
         covariance = course_covariance(np.stack([knots, course]), drive.position_sigma)
