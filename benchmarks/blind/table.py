@@ -133,7 +133,7 @@ def _result(rows: list[Row], seals: list[str], seeds: str, planned: int) -> dict
     }
 
 
-def _keep(rows: list[Row], result: dict[str, Any], add: bool, receiver: str) -> None:
+def _keep(rows: list[Row], result: dict[str, Any], add: bool, receiver: str = "rtk") -> None:
     """Write the table, its rows and the picture; with ``add`` beside the answers to other cases that were kept."""
     RESULTS.mkdir(parents=True, exist_ok=True)
     file = RESULTS / f"blind_{result['seeds']}{'' if receiver == 'rtk' else f'_{receiver}'}.json"
