@@ -35,10 +35,11 @@ def drive_fits(setup: Setup, outcome: SearchOutcome, after: Twin, values: Floats
         given, drive = drive, _displaced(drive, outcome)
         seen = drive
         if given.reading is not None and after.imu != given.twin.imu:
-            # another latency or mounting gives other measured signals and another motion
+            # another latency or mounting gives other measured signals and another motion; a path that was found by
+            # what was felt stays where it was found
             seen = observe(given.reading.drive, after, given.road, given.settings)
-            place = setup.placements[number]
-            seen = _displaced(seen if place is None else place.moved(seen), outcome)
+            placed = setup.placements[number] is not None
+            seen = seen.on(drive.road).on_path(drive.trajectory) if placed else _displaced(seen, outcome)
         sides = [part.simulated(twin) for part, twin in ((drive, setup.original), (seen, after))]
         if not setup.on_road:  # some may validate
             number = next((k for k, part in enumerate(data.parts) if part is drive), -1)

@@ -284,6 +284,8 @@ class Observation(Grid):
         The recording of a drive and how it was read.
     warnings : tuple of str
         Found while it was read.
+    lateness_sigma : float, optional
+        Standard deviation in s of how late the receiver's stamps are, where the drive shows it.
 
     Examples
     --------
@@ -304,6 +306,7 @@ class Observation(Grid):
     usage: Usage
     reading: Reading | None = None
     warnings: tuple[str, ...] = ()
+    lateness_sigma: float | None = None
 
     @property
     def road_excitation(self) -> Excitation:
@@ -443,6 +446,15 @@ class Observation(Grid):
         moved = Trajectory(path.t, x, y, yaw, velocity, turn, acceleration, path.valid)
         return _observed(replace(source, trajectory=moved), self)
 
+    def on_path(self, path: Trajectory) -> Observation:
+        """The same signals on another path, at their stamps."""
+        t = self.signals.t
+        columns = path.x, path.y, path.yaw, path.velocity, path.yaw_rate, path.acceleration
+        x, y, yaw, velocity, turn, acceleration = (interpolated(t, path.t, values) for values in columns)
+        valid = np.interp(t, path.t, path.valid.astype(float)) == 1.0
+        moved = Trajectory(t, x, y, yaw, velocity, turn, acceleration, valid)
+        return _observed(replace(self.source, trajectory=moved), self)
+
     def on(self, road: Road) -> Observation:
         """The same drive on another road."""
         return _observed(replace(self.source, road=road), self)
@@ -508,7 +520,7 @@ def observe(
     same = replace(correction, upright=False) == plain
     mounted = signals if same else correction.signals(timed, twin.imu, settings.imu)
     datum = origin_of(twin, drive)
-    noticed = [*mounted.findings, *findings(timed, mounted, twin.gps, datum)]
+    noticed = [*mounted.findings, *findings(timed, mounted, twin.gps)]
     if twin.datum is None and twin.road is not None and len(drive.fix):
         noticed.append(NO_DATUM)
     unusable = [f for f in told(noticed) if strict and f.level == "error"]
@@ -561,14 +573,13 @@ def with_shown_errors(observation: Observation) -> Observation:
     timed = base.timed(source.drive)
     if not clocks_with(e.id for e in twin.effects):
         shifted = replace(signals, t=signals.t - base.clock)
-        clock = clock_offset_beyond(timed, shifted, twin.gps, origin_of(twin, timed))
+        clock = clock_offset_beyond(timed, shifted, twin.gps)
     turn = _shown_turn(source, base) if base.turn is None else (0.0, 0.0, 0.0)
     return replace(observation, reading=replace(source, shown=SensorCorrection(turn, gain, clock)))
 
 
 def _shown_turn(source: Reading, base: SensorCorrection) -> Turn:
     twin, settings, trajectory = source.twin, source.settings, source.trajectory
-    datum = origin_of(twin, source.drive)
     roll, pitch, yaw = level_rpy(source.signals.up.mean(axis=0))
     timed = base.timed(source.drive)
 
@@ -577,7 +588,7 @@ def _shown_turn(source: Reading, base: SensorCorrection) -> Turn:
 
     signals = read()
     # a path that is made with a sensor which faces backwards speeds up accordingly: it shows no yaw any more
-    far = yaw_beyond(timed, signals, twin.gps, datum)
+    far = yaw_beyond(timed, signals, twin.gps)
     for _ in range(_TURNS):
         yaw, far = yaw + (far or heading_error(signals, trajectory)), 0.0
         signals = read()
@@ -729,6 +740,7 @@ def _observed(source: Reading, known: Observation | None = None) -> Observation:
         usage=usage,
         reading=source,
         warnings=known.warnings if known else (),
+        lateness_sigma=known.lateness_sigma if known else None,
     )
 
 

@@ -34,7 +34,7 @@ from suspension_twin.effects.registry import effect
 from suspension_twin.errors import WorkError
 from suspension_twin.inference.excited_segments import TrimSettings, fit_rows, trim
 from suspension_twin.inference.nuisance import course_covariance
-from suspension_twin.inference.observation import VERTICAL, Observation, PlaceShift, observe, origin_of
+from suspension_twin.inference.observation import VERTICAL, Observation, PlaceShift, observe
 from suspension_twin.inference.priors import SINGLE
 from suspension_twin.inference.problem import REACH
 from suspension_twin.models.excitation import coarser
@@ -44,7 +44,16 @@ from suspension_twin.pose.imu_gnss_consistency import consistency
 from suspension_twin.pose.types import PoseSettings
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["SAME_ROAD", "NoPlaceError", "Placement", "in_reach", "is_open", "on_one_clock", "place"]
+__all__ = [
+    "SAME_ROAD",
+    "NoPlaceError",
+    "Placement",
+    "in_reach",
+    "is_open",
+    "on_one_clock",
+    "place",
+    "where_felt",
+]
 
 #: m that wheel paths differ by at least for the lateral place to matter: a tape measure's millimetre.
 _LEVEL_ACROSS = 1e-3
@@ -162,14 +171,21 @@ def on_one_clock(drive: Observation) -> Observation:
     if not is_open(drive):
         return drive
     recorded, twin = source.drive, source.twin
-    known = consistency(recorded, source.signals, twin.gps, origin_of(twin, recorded))
+    known = consistency(recorded, source.signals, twin.gps)
     if known is None:
         return drive
     fix = replace(recorded.fix, t=recorded.fix.t + known.clock_offset)
     velocity = replace(recorded.velocity, t=recorded.velocity.t + known.clock_offset)
     timed = observe(replace(recorded, fix=fix, velocity=velocity), twin, source.road, source.settings)
     late = f"positions and velocities are taken as {-known.clock_offset:.2f} s late, by braking and turning"
-    return replace(timed, name=drive.name, warnings=(*timed.warnings, late))
+    warnings = (*timed.warnings, late)
+    return replace(timed, name=drive.name, warnings=warnings, lateness_sigma=known.clock_sigma)
+
+
+def _lateness(drive: Observation) -> float:
+    """s that the receiver's stamps are late, one standard deviation."""
+    known = drive.lateness_sigma
+    return SINGLE["receiver_lateness"] if known is None else known
 
 
 def place(drive: Observation, twin: Twin) -> Placement | None:
@@ -197,6 +213,17 @@ def place(drive: Observation, twin: Twin) -> Placement | None:
     passes = _passes(on_the_lane(drive))
     # without passes the road does not excite the vehicle, as is said elsewhere
     return _Bank.of(drive, twin, passes).found() if passes else None
+
+
+def where_felt(drive: Observation, twin: Twin) -> Observation:
+    """A drive on one clock and where its road was felt by ``twin``; where that cannot be told it stays at its
+    positions, with a warning."""
+    drive = on_one_clock(drive)
+    try:
+        where = place(drive, twin)
+    except NoPlaceError as error:
+        return replace(drive, warnings=(*drive.warnings, f"{error}: it is left at its positions"))
+    return drive if where is None else where.moved(drive)
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,7 +331,7 @@ class _Bank:
         """Simulate the twin at every place."""
         sigma = drive.position_sigma
         speeds = np.array([p.motion[2] for p in passes])
-        reach = REACH * np.hypot(sigma, SINGLE["receiver_lateness"] * float(speeds.max()))
+        reach = REACH * np.hypot(sigma, _lateness(drive) * float(speeds.max()))
         step = 0.5 * _shortest_wave(drive, float(np.median(speeds)))
         count = int(np.ceil(reach / step))
         ahead: Floats = step * np.arange(-count, count + 1, dtype=np.float64)
@@ -371,7 +398,7 @@ class _Bank:
         motion = np.array([p.motion for p in self.passes])
         sigma = self.drive.position_sigma
         across = course_covariance(motion.T[:2], sigma)
-        along = across + SINGLE["receiver_lateness"] ** 2 * np.outer(motion[:, 2], motion[:, 2])
+        along = across + _lateness(self.drive) ** 2 * np.outer(motion[:, 2], motion[:, 2])
         first = (
             _normal(self.ahead, 0.0, along[0, 0])[:, None] * _normal(self.left, 0.0, across[0, 0])[None, :]
         )

@@ -18,6 +18,7 @@ from suspension_twin.errors import InputError
 from suspension_twin.files import Json
 from suspension_twin.inference.gap import Comparison, Gap, write_gap
 from suspension_twin.inference.observation import Observation, ObserveSettings, observe, road_of
+from suspension_twin.inference.placement import in_reach, where_felt
 from suspension_twin.models.sensor import to_sensor_axes
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.models.types import Response
@@ -101,6 +102,8 @@ def simulate_drive(
 ) -> SimulatedDrive:
     """Simulate a twin over the whole of a drive and measure the gap.
 
+    Where the receiver leaves the place open, as a phone's does, the drive is placed where the twin's road was felt.
+
     Parameters
     ----------
     drive : Drive
@@ -133,12 +136,13 @@ def simulate_drive(
     road = road_of(twin) if road is None else road
     observation = observe(drive, twin, road, settings)
     moving = np.abs(observation.speed) > 0.8
-    if moving.any() and observation.inside[moving].mean() < _LEAST_ON_ROAD:
+    if moving.any() and in_reach(observation).inside[moving].mean() < _LEAST_ON_ROAD:
         raise InputError(
             drive.name,
             f"is not on the road {road.name}: is it the road of this drive, and is the twin file's datum the origin "
             "of its x and y?",
         )
+    observation = where_felt(observation, twin)
     response = simulate_twin(twin, observation.road_excitation)
     return SimulatedDrive(drive, observation, response, observation.gap(observation.condition(response)))
 

@@ -55,12 +55,14 @@ MOST_CHANGES = 3  # a holder that slips more often is taken for one that slips o
 
 @dataclass(frozen=True, eq=False)
 class GnssMotion:
-    """``t`` (m,) s rising, ``east`` and ``north`` (m,) m/s over ground, ``noise`` m/s their uncertainty."""
+    """``t`` (m,) s rising, ``east`` and ``north`` (m,) m/s over ground, means ``over`` as many s about it, ``noise``
+    m/s their uncertainty."""
 
     t: Floats
     east: Floats
     north: Floats
     noise: float
+    over: float = 0.0
 
     @property
     def known(self) -> bool:
@@ -142,8 +144,8 @@ class GnssMotion:
         return float(np.sum(wrapped)) / time
 
 
-def gnss_motion(drive: Drive) -> GnssMotion:
-    """From the velocities, or else from the way between fixes as far apart as their noise demands."""
+def gnss_motion(drive: Drive, apart: float | None = None) -> GnssMotion:
+    """From the velocities, or else from the way between fixes ``apart`` s, or as far as their noise demands."""
     velocity, fix = drive.velocity, drive.fix
     good = np.isfinite(velocity.t) & np.isfinite(velocity.enu[:, :2]).all(axis=1)
     if np.count_nonzero(good) >= 4:
@@ -161,7 +163,8 @@ def gnss_motion(drive: Drive) -> GnssMotion:
     east = 111_200.0 * math.cos(math.radians(latitude[0])) * (longitude - longitude[0])
     reported = fix.sigma[good, :2]
     sigma = float(np.median(reported[np.isfinite(reported)])) if np.isfinite(reported).any() else 2.5
-    apart = float(np.clip(14.0 * sigma, 0.1, 1.0))  # s that make 0.1 m/s of the noise
+    if apart is None:
+        apart = float(np.clip(14.0 * sigma, 0.1, 1.0))  # s that make 0.1 m/s of the noise
     later = np.minimum(np.searchsorted(stamps, stamps + 0.99 * apart), stamps.size - 1)
     ok = later > np.arange(stamps.size)
     step = (stamps[later] - stamps)[ok]
@@ -170,6 +173,7 @@ def gnss_motion(drive: Drive) -> GnssMotion:
         (east[later] - east)[ok] / step,
         (north[later] - north)[ok] / step,
         4.0 * sigma / float(np.median(step)),
+        float(np.median(step)),
     )
 
 

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from suspension_twin.drive.types import Drive
+from suspension_twin.drive.read import read_drive
+from suspension_twin.drive.types import Drive, VelocityData
 from suspension_twin.errors import InputError
 from suspension_twin.inference.observation import observe, with_shown_errors
 from suspension_twin.inference.synthetic import SensorErrors, synthetic_drive
@@ -20,7 +21,7 @@ from suspension_twin.road import ReferenceLine, Road, flat_road
 from suspension_twin.road.crg import write_road
 from suspension_twin.signals.attitude import rpy_matrix
 from suspension_twin.signals.offline import ingest_drive
-from suspension_twin.vehicle.twin import EffectSpec, RoadFile, Twin
+from suspension_twin.vehicle.twin import EffectSpec, RoadFile, Twin, load_twin
 
 KNOTS = [
     (0.0, 0.0),
@@ -75,8 +76,7 @@ def mirrored(drive: Drive, force: tuple[float, ...], rate: tuple[float, ...]) ->
 @pytest.mark.parametrize("yaw", [0.0, 1.5708, -2.8])
 def test_delay_and_facing_are_told_apart(drive: Drive, twin: Twin, seconds: float, yaw: float) -> None:
     spoilt = late(facing(drive, yaw), seconds)
-    assert twin.datum is not None
-    told = consistency(spoilt, ingest_drive(spoilt, twin.imu), twin.gps, twin.datum)
+    told = consistency(spoilt, ingest_drive(spoilt, twin.imu), twin.gps)
     assert told is not None
     assert told.clock_offset == pytest.approx(seconds, abs=0.1)
     assert math.cos(told.yaw - yaw) > 0.99
@@ -106,11 +106,10 @@ def test_wrong_signs_are_told_from_a_turned_sensor(
     handed: bool,
     back: bool,
 ) -> None:
-    assert twin.datum is not None
     imu, axes = winding.imu, list(order)
     swapped = replace(imu, specific_force=imu.specific_force[:, axes], angular_rate=imu.angular_rate[:, axes])
     spoilt = late(mirrored(replace(winding, imu=swapped), force, rate), seconds)
-    told = consistency(spoilt, ingest_drive(spoilt, twin.imu), twin.gps, twin.datum)
+    told = consistency(spoilt, ingest_drive(spoilt, twin.imu), twin.gps)
     assert told is not None and (told.mirrored, told.reversed) == (handed, back)
     assert told.clock_offset == pytest.approx(seconds, abs=0.1)
 
@@ -235,9 +234,8 @@ def test_a_drive_that_hardly_moves_tells_nothing(drive: Drive, twin: Twin) -> No
         specific_force=drive.imu.specific_force[stands],
         angular_rate=drive.imu.angular_rate[stands],
     )
-    assert twin.datum is not None
     short = replace(drive, imu=imu)
-    assert consistency(short, ingest_drive(short, twin.imu), twin.gps, twin.datum) is None
+    assert consistency(short, ingest_drive(short, twin.imu), twin.gps) is None
 
 
 def in_axes(drive: Drive, roll: float) -> Drive:
@@ -305,6 +303,41 @@ def test_a_few_seconds_of_driving_tell_no_long_delay(twin: Twin, bumps: Road) ->
     force[before, 0] += np.interp(t[before] + 26.0, t, imu.specific_force[:, 0] - imu.specific_force[0, 0])
     force[moving, 0] += 2.5 * np.sin(2.0 * np.pi * 0.25 * t[moving])
     spoilt = replace(brief, imu=replace(imu, specific_force=force))
-    assert twin.datum is not None
-    told = consistency(spoilt, ingest_drive(spoilt, twin.imu), twin.gps, twin.datum)
+    told = consistency(spoilt, ingest_drive(spoilt, twin.imu), twin.gps)
     assert told is None or abs(told.clock_offset) <= 2.0
+
+
+@pytest.mark.parametrize(
+    ("bag", "late", "velocities"),
+    [("bump_phone", 0.4, True), ("bump_15kmh", 0.0, True), ("bump_15kmh", 0.0, False)],
+)
+def test_a_receiver_is_as_late_as_its_stamps(
+    repository: Path, bag: str, late: float, velocities: bool
+) -> None:
+    """Seconds that are taken off the stamps are off the offset."""
+    (described,) = (
+        p for name in ("car", "twin") if (p := repository / "bags" / bag / f"{name}.yaml").exists()
+    )
+    twin, drive = load_twin(described), read_drive(repository / "bags" / bag)
+    signals = ingest_drive(drive, twin.imu)
+    found = []
+    for seconds in (0.0, 0.25, 0.4, 0.8):
+        fix = replace(drive.fix, t=drive.fix.t - seconds)
+        velocity = replace(drive.velocity, t=drive.velocity.t - seconds)
+        if not velocities:
+            velocity = VelocityData(np.empty(0), np.empty((0, 3)))
+        told = consistency(replace(drive, fix=fix, velocity=velocity), signals, twin.gps)
+        assert told is not None
+        found.append(told.clock_offset - seconds)
+        assert abs(found[-1] + late) < 3.0 * told.clock_sigma < 0.2
+    np.testing.assert_allclose(found, found[0], atol=0.02)
+
+
+def test_few_seconds_say_how_little_they_tell(drive: Drive, twin: Twin) -> None:
+    signals = ingest_drive(drive, twin.imu)
+    whole = consistency(drive, signals, twin.gps)
+    early = drive.velocity.t < drive.imu.t[0] + 15.0
+    brief = consistency(replace(drive, velocity=drive.velocity.select(early)), signals, twin.gps)
+    assert whole is not None and brief is not None
+    assert brief.clock_sigma > whole.clock_sigma
+    assert abs(brief.clock_offset) < 3.0 * brief.clock_sigma

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from suspension_twin.calibration.request import CalibrationRequest
+from suspension_twin.calibration.run import calibrate
 from suspension_twin.calibration.setup import set_up
 from suspension_twin.diagnosis.case import read_case
 from suspension_twin.diagnosis.request import DiagnosisRequest
@@ -20,6 +21,7 @@ from suspension_twin.errors import InputError
 from suspension_twin.inference.felt_passes import felt_passes
 from suspension_twin.inference.observation import observe
 from suspension_twin.inference.placement import NoPlaceError, is_open, on_one_clock, place
+from suspension_twin.inference.simulated import simulate_drive
 from suspension_twin.inference.synthetic import synthetic_drive
 from suspension_twin.pose.local_map import LocalMap
 from suspension_twin.road import Road, bump_road, circular, flat_road, load_road, write_road
@@ -222,3 +224,48 @@ def test_a_place_is_kept_where_the_sensor_is_read_otherwise(twin: Twin, softer: 
     np.testing.assert_allclose(kept.trajectory.x, found.moved(observed).trajectory.x, atol=1e-9)
     read = kept.source.excitation(SensorCorrection(gain=1.001))
     np.testing.assert_allclose(read.path.x, kept.trajectory.x, atol=0.05)
+
+
+def test_a_phones_drive_is_simulated_where_it_was_felt(repository: Path, twin: Twin) -> None:
+    drive = read_drive(repository / "bags" / "bump_phone")
+    road = load_road(repository / "bags" / "bump_15kmh" / "road.crg")
+    found = simulate_drive(drive, twin, road)
+    assert any("placed on the road" in line for line in found.observation.warnings)
+    at_its_positions = observe(drive, twin, road)
+    assert at_its_positions.gap(at_its_positions.simulated(twin)).rms > 0.5
+    assert found.gap.rms < 0.1
+
+
+def test_what_cannot_be_placed_is_simulated_at_its_positions(twin: Twin) -> None:
+    other = phone(driven(twin, bump_road(circular(2.5, 0.12), at=29.0, length=70.0)), twin, 1.0)
+    found = simulate_drive(other, twin, BUMP)
+    assert any("it is left at its positions" in line for line in found.observation.warnings)
+    np.testing.assert_allclose(found.observation.position, observe(other, twin, BUMP).position, atol=0.5)
+
+
+def test_a_receiver_off_to_the_side_is_on_its_road(twin: Twin) -> None:
+    """Of a lane three metres wide, as of any that a phone's receiver misses."""
+    drive = phone(driven(twin), twin, 0.0)
+    assert twin.datum is not None
+    frame = LocalMap(twin.datum)
+    enu = frame.to_map(drive.fix.latitude, drive.fix.longitude, drive.fix.altitude)
+    enu[:, 1] += 4.5
+    latitude, longitude, altitude = frame.to_geodetic(enu).T
+    fix = replace(drive.fix, latitude=latitude, longitude=longitude, altitude=altitude)
+    found = simulate_drive(replace(drive, fix=fix), twin, BUMP)
+    assert found.observation.inside[np.abs(found.observation.speed) > 1.0].mean() > 0.9
+    assert found.gap.rms < 1.5 * simulate_drive(drive, twin, BUMP).gap.rms
+
+
+@pytest.mark.long
+def test_the_gap_of_a_phones_drive_is_that_of_its_passes(repository: Path) -> None:
+    """Though the mounting that was found gives another path, which nobody has placed."""
+    bags = repository / "bags"
+    found = calibrate(
+        CalibrationRequest(twin=str(bags / "bump_15kmh" / "twin.yaml"), bags=(str(bags / "bump_phone"),))
+    )
+    (drive,) = found.drives
+    assert found.twin.imu != load_twin(bags / "bump_15kmh" / "twin.yaml").imu
+    assert drive.gap_after.rms < 1.3 * drive.nuisance_free < 0.3 * drive.gap_before.rms
+    # and so is that of the twin that is written
+    assert simulate_drive(read_drive(bags / "bump_phone"), found.twin).gap.rms < 0.3 * drive.gap_before.rms
