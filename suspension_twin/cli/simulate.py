@@ -67,10 +67,18 @@ def command(
     console = output()
     for warning in result.warnings:
         console.print(f"{result.name}: {warning}", style="yellow")
+    correlation = result.correlation
     rows = [
-        (name.replace("_", " "), channel_unit(name), f"{rms:.4g}", f"{result.noise_rms[name]:.4g}")
+        (
+            name.replace("_", " "),
+            channel_unit(name),
+            f"{rms:.4g}",
+            f"{result.noise_rms[name]:.4g}",
+            f"{correlation[name]:.2f}",
+        )
         for name, rms in result.gap.channels.items()
     ]
-    title = f"Gap over {result.gap.seconds:.1f} s of {result.name}: measured minus simulated"
-    print_table(console, title, ("channel", "unit", "rms", "noise"), rows, words=("channel", "unit"))
+    title = f"Gap over {result.gap.seconds:.1f} s of {result.name}: rms of measured minus simulated"
+    columns = ("channel", "unit", "rms", "noise", "correlation")
+    print_table(console, title, columns, rows, words=("channel", "unit"))
     console.print(f"Written to {written[0]} and {written[1]}")

@@ -119,6 +119,18 @@ class Comparison(ABC):
         return self.observation.noise_rms
 
     @property
+    def correlation(self) -> dict[str, float]:
+        """Of measured and simulated, by channel, over what the gap compares; 0 where one of them does not move."""
+        rows, found = self.observation.driving, {}
+        for name in self.gap.channels:
+            a, b = (
+                signals[name][rows] - signals[name][rows].mean()
+                for signals in (self.measured, self.simulated)
+            )
+            found[name] = float(a @ b) / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-12)
+        return found
+
+    @property
     def warnings(self) -> tuple[str, ...]:
         """A line for everything that was found of the recording."""
         return self.observation.warnings

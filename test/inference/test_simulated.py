@@ -15,6 +15,7 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.signal import butter, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
+import suspension_twin as st
 from suspension_twin.cli.main import main
 from suspension_twin.drive.types import Drive, ImuData
 from suspension_twin.drive.write import write_drive
@@ -197,3 +198,19 @@ def test_what_cannot_be_simulated_is_one_line(
         error = capsys.readouterr().err
         assert status == 2 and words in error and error.count("\n") == 1
         assert not (tmp_path / "out" / "gap.json").exists()
+
+
+def test_how_much_measured_and_simulated_have_in_common_is_printed(
+    case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result = st.simulate(case / "drive", case / "twin.yaml")
+    rows = result.observation.driving
+    for name, value in result.correlation.items():
+        by_hand = np.corrcoef(result.measured[name][rows], result.simulated[name][rows])[0, 1]
+        assert value == pytest.approx(by_hand, abs=1e-9)
+    assert (
+        main(["simulate", "--twin", str(case / "twin.yaml"), str(case / "drive"), "--out", str(tmp_path)])
+        == 0
+    )
+    line = next(row for row in capsys.readouterr().out.splitlines() if row.startswith("vertical acc"))
+    assert line.split()[-1] == f"{result.correlation['vertical_acceleration']:.2f}"
