@@ -33,6 +33,9 @@ _LIMIT = 2_000_000_000
 _JUMP, _TURN = 0.5, 0.3
 #: s between two looks at whether the wheels are on the road: a wheel's length at 30 km/h.
 _LOOK = 0.1
+#: m that a tyre's contact is long (prior: 4 kN over 220 kPa and a width of 0.16 m): shorter waves are felt little, at
+#: any speed. Standard deviations of a place that are likely (prior).
+_CONTACT, _LIKELY = 0.114, 3.0
 #: m/s²: no vehicle's body; beyond it the model has diverged.
 _HARDEST = 1e5
 #: s, time constant of the crossover at 0.4 Hz from the acceleration of the path to that of the IMU.
@@ -199,6 +202,8 @@ class Follower:
         self._pose: PlanarState | None = None
         self._rates = (0.0, 0.0)
         self._off, self._looked = 0, -math.inf
+        #: When the place was last too uncertain for a comparison, and the m to which it was known, at worst.
+        self._open = -math.inf, 0.0
         self._planar.reset()
 
     def step(self, t: float, pose: PlanarState, measured: BodyAcceleration) -> Followed:
@@ -254,7 +259,24 @@ class Follower:
         """Whether the pose is known and all wheels have a road under them, looked at ten times a second."""
         if not 0.0 <= t - self._looked < _LOOK:
             self._off, self._looked = self._wheels_off(pose), t
+            self._look_at_place(t, pose)
         return pose.aligned and not self._off
+
+    def _look_at_place(self, t: float, pose: PlanarState) -> None:
+        """Note where the place along the road is not known to what the comparison resolves: three standard deviations
+        beyond half the shortest wave."""
+        xx, xy, _, yy, _, _ = pose.covariance
+        c, s = math.cos(pose.yaw), math.sin(pose.yaw)
+        sigma = math.sqrt(max(xx * c * c + 2.0 * xy * c * s + yy * s * s, 0.0))
+        wave, (since, worst) = abs(pose.motion.speed) / self.settings.filter.cutoff, self._open
+        if abs(pose.motion.speed) > STANDING_SPEED and _LIKELY * sigma > 0.5 * max(wave, _CONTACT):
+            self._open = t, max(sigma, worst if t - since < self.settings.window else 0.0)
+
+    def gap_warning(self) -> str:
+        """The warning of a gap that has grown; else empty."""
+        since, sigma = self._open
+        place = sigma if self._t - since < self.settings.window else 0.0
+        return gap_warning(self.gap.now(), self.settings.floor, self.settings.warn, place)
 
     def _wheels_off(self, pose: PlanarState) -> int:
         c, s = math.cos(pose.yaw), math.sin(pose.yaw)
@@ -303,7 +325,7 @@ class Follower:
             count = f"{off} of {len(self.twin.vehicle.wheel_positions)} wheels"
             text = f"{count} are outside the road file: check the datum and the position of the road"
             found += [Finding("warn", "off_road", text)] if off else []
-        grown = gap_warning(self.gap.now(), self.settings.floor, self.settings.warn)
+        grown = self.gap_warning()
         return [*found, Finding("warn", "gap", grown)] if grown else found
 
 

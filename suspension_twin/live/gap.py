@@ -225,18 +225,22 @@ def calibration_gap(given: float, twin_file: str) -> CalibrationGap:
     return CalibrationGap(max(finite, default=0.0), max(shares, default=0.0))
 
 
-def gap_warning(gap: GapNow | None, expected: CalibrationGap, ratio: float) -> str:
+def gap_warning(gap: GapNow | None, expected: CalibrationGap, ratio: float, place: float = 0.0) -> str:
     """The warning of a gap of more than ``ratio`` times the residual of the calibration, scaled to the roughness of
-    the present road; empty if there is nothing to warn of."""
+    the present road; empty if there is nothing to warn of. Where the ``place`` along the road was known to as many m
+    only, the gap is no sign of another vehicle."""
     if gap is None or not expected.rms:
         return ""
     residual = max(expected.rms, expected.share * gap.measured_rms)
     if gap.rms <= ratio * residual:
         return ""
-    return (
+    grown = (
         f"the gap is {gap.rms:.3g} m/s², {gap.rms / residual:.1f} times the residual of the calibration "
-        f"({residual:.3g} m/s²): run a diagnosis"
+        f"({residual:.3g} m/s²)"
     )
+    if place:
+        return f"{grown}, by the place: known to {place:.2g} m, it puts bumps as far too early or too late"
+    return f"{grown}: run a diagnosis"
 
 
 class GapTile(NamedTuple):

@@ -18,7 +18,7 @@ from std_srvs.srv import Trigger
 
 from suspension_twin.errors import InputError
 from suspension_twin.live.follow import BodyAcceleration, Follower, FollowSettings, Pairing
-from suspension_twin.live.gap import GapNow, calibration_gap, gap_warning
+from suspension_twin.live.gap import GapNow, calibration_gap
 from suspension_twin.live.twin import Update, compile_stages, delay_of
 from suspension_twin.nodes.lifecycle import ManagedNode
 from suspension_twin.nodes.messages import read_odometry
@@ -309,7 +309,7 @@ class SuspensionModelNode(ManagedNode):
                 show(name, STALE, "nothing compared yet")
             return
         settings = self._follower.settings
-        grown = gap_warning(gap, settings.floor, settings.warn)
+        grown = self._follower.gap_warning()
         text = grown or f"{gap} in the last {settings.window:g} s"
         level, whole = WARN if grown else OK, self.whole_gap()
         show("gap", level, text, now=gap.rms, over_all_driving=whole, normalised=gap.normalised)

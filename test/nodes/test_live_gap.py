@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 import yaml
 from geometry_msgs.msg import AccelStamped
@@ -13,9 +14,11 @@ from nodes_bench import put_stamp, worst
 from visualization_msgs.msg import Marker
 
 from suspension_twin.errors import InputError
+from suspension_twin.live.follow import BodyAcceleration, Follower, FollowSettings
 from suspension_twin.live.gap import CalibrationGap, GapNow, GapTiles, calibration_gap, gap_warning
 from suspension_twin.nodes.suspension_model import SuspensionModelNode
 from suspension_twin.nodes.twin_outputs import colour
+from suspension_twin.pose.lock import PlanarMotion, PlanarState
 from suspension_twin.vehicle.twin import load_twin, save_twin
 
 T0 = 1.7e9
@@ -126,6 +129,24 @@ def test_on_a_rougher_road_more_is_left():
     assert not gap_warning(gap, CalibrationGap(0.0, 0.0), 1.0) and not gap_warning(
         None, CalibrationGap(0.1, 0.0), 1.0
     )
+
+
+@pytest.mark.parametrize(("sigma", "by_the_place"), [(0.0, False), (0.015, False), (0.8, True)])
+def test_a_gap_of_a_place_that_is_not_known_is_no_sign_of_another_vehicle(flat_twin, sigma, by_the_place):
+    follower = Follower(load_twin(flat_twin), FollowSettings(floor=CalibrationGap(0.1, 0.0), window=4.0))
+    motion, rng = PlanarMotion(5.0, 0.0, 0.0, 0.0, 0.0), np.random.default_rng(1)
+    for k in range(1000):
+        t, yaw = 0.01 * k, 0.7
+        c, s = math.cos(yaw), math.sin(yaw)
+        # known across to millimetres, along the course to ``sigma``
+        covariance = (sigma**2 * c * c, sigma**2 * c * s, 0.0, sigma**2 * s * s, 0.0, 1e-4)
+        pose = PlanarState(t, 5.0 * t * c, 5.0 * t * s, yaw, motion, True, True, covariance)
+        follower.step(t, pose, BodyAcceleration((0.0, 0.0, float(rng.normal(0.0, 3.0)))))
+    warning = follower.gap_warning()
+    assert "residual of the calibration" in warning
+    assert ("run a diagnosis" in warning) is not by_the_place
+    assert ("known to 0.8 m" in warning) is by_the_place
+    assert warning in [finding.text for finding in follower.findings]
 
 
 def test_without_a_calibration_there_is_nothing_to_warn_of_and_a_parameter_can_say_it(bench, flat_twin):
