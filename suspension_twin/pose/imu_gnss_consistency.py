@@ -20,7 +20,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,11 +80,11 @@ class Consistency:
 @dataclass(frozen=True, eq=False)
 class _Felt:
     """Integrals over time of what the IMU felt, on an even grid from ``start`` s on: ``velocity`` (g,) complex m/s in
-    its own axes, ``angle`` (g,) rad about the vertical."""
+    its own axes, ``angle`` (g,) rad about the vertical, a complex number as well."""
 
     start: float
     velocity: Complexes
-    angle: Floats
+    angle: Complexes
 
     @classmethod
     def of(cls, signals: ImuSignals, over: float) -> _Felt:
@@ -93,17 +92,12 @@ class _Felt:
         t = signals.t
         grid = np.arange(t[0], t[-1], _GRID)
 
-        def integral(values: Floats) -> Floats:
-            return np.interp(grid, t, _integral(t, values))
-
-        velocity = integral(signals.force[:, 0]) + 1.0j * integral(signals.force[:, 1])
-        angle = integral(signals.rate[:, 2])
         half = round(0.5 * over / _GRID)
-        if half:
-            velocity, angle = (_mean_about(column, half) for column in (velocity, angle))
+        speeds = signals.force[:, 0] + 1.0j * signals.force[:, 1], signals.rate[:, 2].astype(complex)
+        velocity, angle = (_mean_about(_resampled(grid, t, _integral(t, one)), half) for one in speeds)
         return cls(float(t[0]), velocity, angle)
 
-    def changes(self, of: NDArray[Any], start: Floats, end: Floats) -> NDArray[Any]:
+    def changes(self, of: Complexes, start: Floats, end: Floats) -> Complexes:
         """Changes of one of the integrals from ``start`` to ``end``."""
         rows = np.concatenate([start, end])
         place = (rows - self.start) / _GRID
@@ -160,9 +154,9 @@ class _Changes:
         both = self.at(lag, seconds)
         if both is None:
             return 0.0j, 0.0j
-        _, path, felt = both
-        size = max(float(np.linalg.norm(path) * np.linalg.norm(felt)), 1e-12)
-        return complex(np.vdot(path, felt)) / size, complex(np.vdot(path, felt.conj())) / size
+        inside, path, felt = both
+        long = (self.end - self.start)[inside]
+        return _correlation(path, felt, long), _correlation(path, felt.conj(), long)
 
     def reversed(self, lag: float) -> bool:
         """Whether the rate about the vertical, ``lag`` s later, surely has the opposite sign of the course's."""
@@ -170,26 +164,35 @@ class _Changes:
         start, end, turned = self.start[inside], self.end[inside], self.turned[inside]
         if not inside.any() or math.sqrt(float(np.mean((turned / (end - start)) ** 2))) < _LEAST_YAW_RATE:
             return False
-        felt = _centred(self.felt.changes(self.felt.angle, start + lag, end + lag), end - start)
-        turned = _centred(turned, end - start)
-        size = max(float(np.linalg.norm(turned) * np.linalg.norm(felt)), 1e-12)
-        return float(turned @ felt) / size < -_LEAST_CORRELATION
+        felt = self.felt.changes(self.felt.angle, start + lag, end + lag)
+        return _correlation(turned.astype(complex), felt, end - start).real < -_LEAST_CORRELATION
 
 
-def _integral(t: Floats, values: Floats) -> Floats:
-    return np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(t))])
+def _integral(t: Floats, values: Complexes) -> Complexes:
+    return np.concatenate([[0.0j], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(t))])
 
 
-def _mean_about(values: NDArray[Any], half: int) -> NDArray[Any]:
-    """Means of as many rows to either side."""
+def _resampled(at: Floats, t: Floats, values: Complexes) -> Complexes:
+    return np.interp(at, t, values.real) + 1.0j * np.interp(at, t, values.imag)
+
+
+def _mean_about(values: Complexes, half: int) -> Complexes:
+    """Means over as many rows to either side."""
+    if not half:
+        return values
     wide = np.pad(values, half, mode="edge")
-    total = np.concatenate([np.zeros(1, wide.dtype), np.cumsum(0.5 * (wide[1:] + wide[:-1]))])
+    total = np.concatenate([[0.0j], np.cumsum(0.5 * (wide[1:] + wide[:-1]))])
     return np.asarray((total[2 * half :] - total[: -2 * half]) / (2 * half))
 
 
-def _centred(values: NDArray[Any], seconds: Floats) -> NDArray[Any]:
+def _centred(values: Complexes, seconds: Floats) -> Complexes:
     """Changes without the acceleration that all of them share: a bias, and gravity."""
     return np.asarray(values - seconds * (seconds @ values) / max(float(seconds @ seconds), 1e-12))
+
+
+def _correlation(path: Complexes, felt: Complexes, seconds: Floats) -> complex:
+    path, felt = _centred(path, seconds), _centred(felt, seconds)
+    return complex(np.vdot(path, felt)) / max(float(np.linalg.norm(path) * np.linalg.norm(felt)), 1e-12)
 
 
 def _changes(drive: Drive, signals: ImuSignals, gps: Place) -> list[_Changes]:
@@ -233,12 +236,12 @@ def _changes(drive: Drive, signals: ImuSignals, gps: Place) -> list[_Changes]:
 
 
 def _with_hills(drive: Drive, ground: GnssMotion, found: _Changes) -> list[_Changes]:
-    """What gravity adds on hills is felt ahead: surely where the receiver vouches for its heights."""
+    """The candidates with gravity's part on hills, felt ahead: surely where the receiver vouches for its heights."""
     t = ground.t
     slope = ground.slope(t, drive.fix)
     if slope is None:
         return [found]
-    climbed = _integral(t, G * np.sin(slope))
+    climbed = _integral(t, (G * np.sin(slope)).astype(complex)).real
     hills = np.interp(found.end, t, climbed) - np.interp(found.start, t, climbed)
     known = drive.fix.sigma[np.isfinite(drive.fix.sigma[:, 2]), 2]
     felt = replace(found, path=found.path + hills)
