@@ -80,9 +80,7 @@ def make_case(spec: Spec, cases: Path, sealed: Path) -> dict[str, Any]:
         rng = np.random.default_rng([spec.world, 9, len(spec.effects[0])])
         first = float(rng.uniform(60.0, 110.0))
         stretch = (round(first, 2), round(first + float(rng.uniform(25.0, 40.0)), 2))
-    base: Faults = (
-        {"unsprung_mass": {"share": _MSD_BASE}} if spec.msd and "unsprung_mass" not in faults else {}
-    )
+    base = base_faults(spec, faults)
     moving = {**base, **without_road(faults)}
     folder = cases / spec.name
     folder.mkdir(parents=True)
@@ -115,6 +113,11 @@ def make_case(spec: Spec, cases: Path, sealed: Path) -> dict[str, Any]:
         "drives": drives,
         **scale,
     }
+
+
+def base_faults(spec: Spec, faults: Faults) -> Faults:
+    """What a car has before its ``faults``."""
+    return {"unsprung_mass": {"share": _MSD_BASE}} if spec.msd and "unsprung_mass" not in faults else {}
 
 
 def _calibrate(folder: Path, sealed: Path) -> None:

@@ -4,6 +4,7 @@
     python benchmarks/blind.py [--short | --full] [--seeds dev|train|report...] [--limit N] [--json] [--out DIR]
     python benchmarks/blind.py --seeds train --case N                 # one case of the plan, by its number
     python benchmarks/blind.py --stage generate|diagnose|score ...    # one stage alone
+    python benchmarks/blind.py --stage more ...    # open cases once more, with the drive that was proposed for each
     python benchmarks/blind.py ... --keep [--add]                     # answers kept, with --add beside those before
     python benchmarks/blind.py --reality measured [--limit N]         # recordings of real cars with faults put in
 
@@ -135,7 +136,7 @@ def parsed() -> argparse.Namespace:
     parser.add_argument(
         "--seeds", choices=get_args(Seeds), help="dev, or measured_dev for --reality measured"
     )
-    parser.add_argument("--stage", choices=("generate", "diagnose", "score", "all"), default="all")
+    parser.add_argument("--stage", choices=("generate", "diagnose", "score", "more", "all"), default="all")
     parser.add_argument(
         "--only", nargs="+", default=[], metavar="EFFECT", help="effects, kinds or names of cases"
     )
@@ -186,6 +187,12 @@ def main() -> None:
         generate(cases, options.out, options.jobs, tell, options.rate, options.jitter, options.receiver)
     if options.stage in ("diagnose", "all"):
         diagnose(cases, options.out, tell)
+    if options.stage == "more":
+        from blind import more
+
+        more.settle(cases, options.out, tell)
+        result = more.figures(cases, options.out)
+        print(json.dumps(result) if options.json else more.text_of(result))
     if options.stage in ("score", "all"):
         from blind.table import report
 

@@ -228,5 +228,8 @@ def print_diagnosis(document: Document, out: Path | None) -> None:
     console.print(f"No gap {known:.3f}, unknown {unknown:.3f}.")
     if document.get("next_experiment"):
         console.print(document["next_experiment"])
+    drive = document.get("next_drive")
+    if drive and "road" not in drive and out is not None:
+        console.print(f"Then: suspension-twin diagnose --add DRIVE --out {out}")
     if out is not None:
         console.print(f"Written to {out}")

@@ -22,7 +22,7 @@ from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin, save_twin,
 __all__ = ["answer_of", "continued", "decided_anew", "leading_channel", "rounded", "write", "write_document"]
 
 #: Keys of diagnosis.json that a decision made anew keeps: they depend on the drives alone.
-_KEPT = ("where", "warnings", "next_experiment")
+_KEPT = ("where", "warnings", "next_experiment", "next_drive")
 #: Verdicts of a gap of which something may stay unexplained.
 WITH_SIGNATURE = ("unknown", "partly", "suspected")
 

@@ -76,7 +76,9 @@ def conclude(
         }
         if section is not None:
             document["signature"]["stretch"] = section
-    document["next_experiment"] = _next(case, judged, document, section)
+    document["next_experiment"], drive = _next(case, judged, decision, document, section)
+    if drive:
+        document["next_drive"] = drive
     document["warnings"] = list(case.warnings)
     document["seed"], document["message"] = request.seed, wording.message(document)
     main = judged.problem.channels[0]
@@ -121,13 +123,27 @@ def _refined(judged: Judged, one: Candidate) -> tuple[Candidate, Problem]:
     return candidate(replace(judged, problem=problem), evidence(fine, fit, judged.search.blocks)), problem
 
 
-def _next(case: Case, judged: Judged, document: Json, section: Json | None) -> str:
+def _next(
+    case: Case, judged: Judged, decision: Decision, document: Json, section: Json | None
+) -> tuple[str, Json]:
     if section is not None and section["like"] and document["verdict"] == "unknown":
         span = f"from {section['start_m']:.0f} to {section['end_m']:.0f} m"
-        return f"Survey the road {span} again: no drive changes its file."
-    named = document["candidates"] if len(document["combination"]) < 2 else []
-    tied = [c for name in named for c in judged.singles if c.effects == (name,)]
-    return next_experiment(case, tied, document["verdict"], judged)
+        return f"Survey the road {span} again: no drive changes its file.", {}
+    rivals = (
+        []
+        if len(document["combination"]) > 1
+        else [r for c in decision.candidates if (r := _rival(judged, c))]
+    )
+    if rivals and rivals[0].effects and document["verdict"] in ("suspected", "unknown"):
+        rivals.append(judged.base)  # what else is left cannot be simulated
+    return next_experiment(case, rivals, document["verdict"], judged)
+
+
+def _rival(judged: Judged, causes: tuple[str, ...]) -> Candidate | None:
+    """The hypothesis of one of the decision's candidates; None of a set, and of an unknown cause."""
+    if not causes:
+        return judged.base
+    return next((c for c in judged.singles if c.effects == causes), None)
 
 
 def _periodic(problem: Problem, remaining: RemainingResidual) -> Json:

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The next experiment: the drive over an obstacle that separates the remaining candidates of a diagnosis best."""
+"""The next experiment: the drive that separates the remaining candidates of a diagnosis best, over the road of the twin
+at another speed, or over an obstacle."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -18,7 +20,7 @@ from suspension_twin.errors import InputError, SuspensionTwinError
 from suspension_twin.files import Json
 from suspension_twin.inference.excited_segments import TrimSettings
 from suspension_twin.inference.fit import twin_of
-from suspension_twin.inference.gap import CHANNELS
+from suspension_twin.inference.gap import CHANNELS, channel_unit
 from suspension_twin.inference.noise import USUAL_SHARE
 from suspension_twin.inference.nuisance import OF_A_DRIVE
 from suspension_twin.inference.observation import VERTICAL, Observation, Usage
@@ -32,7 +34,7 @@ from suspension_twin.signals.conditioner import Conditioner
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["manoeuvres", "next_experiment", "planned_drive", "separating_drive"]
+__all__ = ["Drive", "manoeuvres", "next_experiment", "planned_drive", "separating_drive"]
 
 #: Of the virtual sensor: those of a phone and an RTK receiver.
 _SENSOR = SensorErrors()
@@ -40,6 +42,10 @@ _SENSOR = SensorErrors()
 _LONGEST, _MARGIN = 40.0, 0.5
 #: m/s² of a calm driver (Bae, Moon and Seo, Electronics 8, 2019: comfortable up to 2 m/s²).
 _ACCELERATION, _BRAKING = 1.5, 2.0
+#: km/h over the twin's own road.
+_SPEEDS: Final = (10.0, 20.0, 30.0, 40.0, 50.0, 70.0, 90.0)
+#: nats from which on a drive settles it: a thousand to one.
+_SETTLED: Final = float(np.log(1000.0))
 #: Obstacles with the speed over each: m, km/h.
 _OBSTACLES: Final[list[Json]] = json.loads(
     Path(__file__).with_name("obstacles.json").read_text(encoding="utf-8")
@@ -152,17 +158,44 @@ def _road_of(obstacle: Json) -> Road:
     return add_bump(road, shape, 40.0, v_low=0.1) if left else road
 
 
+@dataclass(frozen=True)
+class Drive:
+    """A drive that separates two twins: over a ``road`` that is named, or the twin's own, at ``kmh``; ``nats`` is the
+    expected log likelihood ratio, ``rms`` the difference in the ``channel`` that shows it best, m/s² or rad/s."""
+
+    road: str
+    kmh: float
+    nats: float
+    channel: str
+    rms: float
+
+    @property
+    def name(self) -> str:
+        """For people."""
+        return f"{self.road or 'the road of the twin once more'} at {self.kmh:g} km/h"
+
+    def as_dict(self) -> Json:
+        """Of ``diagnosis.json``."""
+        road = {"road": self.road} if self.road else {}
+        return {
+            **road,
+            "speed_kmh": self.kmh,
+            "channel": self.channel,
+            "difference": float(f"{self.rms:.3g}"),
+        }
+
+
 def separating_drive(
-    first: Twin, second: Twin, noise: dict[str, float], share: float
-) -> tuple[float, str] | None:
-    """The manoeuvre on which two twins differ most, with the expected log likelihood ratio in nats; None where none can
-    be simulated.
+    first: Twin, second: Twin, noise: dict[str, float], share: float, own: Sequence[tuple[Road, float]] = ()
+) -> Drive | None:
+    """The drive on which two twins differ most: over their ``own`` road at speeds in km/h, where that settles it, else
+    over an obstacle of the menu too; None where none can be simulated.
 
     0.5 n_eff / n sum((y_1 - y_2)^2 / (sigma^2 + (``share`` s)^2)) over the channels, with the ``noise`` sigma and the
     model discrepancy, a ``share`` of the rms s of the motion.
     """
 
-    def separation(manoeuvre: tuple[str, Road, float]) -> tuple[float, str] | None:
+    def separation(manoeuvre: tuple[str, Road, float]) -> Drive | None:
         name, road, kmh = manoeuvre
         try:
             one, other = (
@@ -170,41 +203,62 @@ def separating_drive(
             )
         except SuspensionTwinError:
             return None
-        total = 0.0
+        parts, difference = {}, {}
         for channel, values in one.measured.items():
             sigma = noise.get(channel, one.noise_rms[channel])
             variance = sigma**2 + (share * float(np.std(values[one.mask]))) ** 2
-            total += float(np.sum((values - other.measured[channel])[one.mask] ** 2)) / variance
-        return float(total * one.bandwidth / one.rate), f"{name} at {kmh:g} km/h"
+            squares = (values - other.measured[channel])[one.mask] ** 2
+            parts[channel] = float(np.sum(squares)) / variance * one.bandwidth / one.rate
+            difference[channel] = float(np.sqrt(np.mean(squares)))
+        best = max(parts, key=parts.__getitem__)
+        return Drive(name, kmh, sum(parts.values()), best, difference[best])
 
-    return max((found for found in map(separation, manoeuvres()) if found is not None), default=None)
+    def best(menu: Sequence[tuple[str, Road, float]]) -> Drive | None:
+        found = [drive for drive in map(separation, menu) if drive is not None]
+        return max(found, key=lambda drive: drive.nats, default=None)
+
+    at_home = best([("", *drive) for drive in own])
+    if at_home is not None and at_home.nats > _SETTLED:
+        return at_home
+    return max(filter(None, (at_home, best(manoeuvres()))), key=lambda drive: drive.nats, default=None)
 
 
-def next_experiment(case: Case, tied: Sequence[Candidate], answer: str, judged: Judged) -> str:
-    """One sentence: the manoeuvre that separates the ``tied`` candidates of a diagnosis, and the expected gain."""
-    if len(tied) < 2:
-        return "No further drive is needed to separate candidates."
-    effects = [c.effects[0] for c in tied[:2]]
-    pair = " from ".join(effect_name(e) for e in effects)
+def next_experiment(case: Case, rivals: Sequence[Candidate], answer: str, judged: Judged) -> tuple[str, Json]:
+    """One sentence: the drive that separates the first two ``rivals`` of a diagnosis, and what it is worth; and that
+    drive. A rival of no effect is the vehicle without any that is missing."""
+    if len(rivals) < 2:
+        return "No further drive is needed to separate candidates.", {}
+    names = [effect_name(c.effects[0]) if c.effects else "no missing effect" for c in rivals[:2]]
+    pair, effects = " from ".join(names), [c.effects[0] for c in rivals[:2] if c.effects]
     if case.kind == "run":
-        return f"Repeat the run with another excitation to separate {pair}."
+        return f"Repeat the run with another excitation to separate {pair}.", {}
     tap = "mount_resonance" in effects
     tail = " A tap on the phone holder at standstill excites the mount resonance alone." if tap else ""
-    first, second = (twin_of(judged.problem, c.found.fit) for c in tied[:2])
-    found = separating_drive(
-        first, second, judged.scale.noise, max(judged.scale.reference or USUAL_SHARE, 0.05)
-    )
+    first, second = (twin_of(judged.problem, c.found.fit) for c in rivals[:2])
+    share = max(judged.scale.reference or USUAL_SHARE, 0.05)
+    found = separating_drive(first, second, judged.scale.noise, share, _own_road(case))
     if found is None:
-        return f"No manoeuvre of the menu can be simulated to separate {pair}.{tail}"
-    nats, name = found
-    if nats < 1.0:
+        return f"No manoeuvre of the menu can be simulated to separate {pair}.{tail}", {}
+    if found.nats < 1.0:
         shows = " ".join(
             f"{capital(effect_name(e))} shows in: {', '.join(EFFECTS[e].excited_by)}." for e in effects
         )
-        return f"No manoeuvre of those that were simulated would separate {pair}. {shows}{tail}"
+        text = f"No manoeuvre of those that were simulated would separate {pair}. {shows}{tail}"
+        return text, {}
     why = " if there is a gap at all" if answer == "no_gap" else ""
-    if nats > np.log(1000.0):
+    if found.nats > _SETTLED:
         worth = "settle it"
     else:
-        worth = f"make the right one {np.exp(nats):.0f} times as likely as the other"
-    return f"Drive {name}: it separates {pair} best{why}; one pass should {worth}.{tail}"
+        worth = f"make the right one {np.exp(found.nats):.0f} times as likely as the other"
+    differ = f"by {found.rms:.2g} {channel_unit(found.channel)} in {found.channel.replace('_', ' ')}"
+    text = f"Drive {found.name}: it separates {pair} best{why}; one pass should {worth}, for they differ {differ}."
+    return text + tail, found.as_dict()
+
+
+def _own_road(case: Case) -> list[tuple[Road, float]]:
+    """The road of the drives at speeds from walking pace up to a quarter beyond the fastest."""
+    if not case.road:
+        return []
+    fastest = max(float(np.abs(d.along).max()) for d in case.drives)
+    road = case.drives[0].road
+    return [(road, kmh) for kmh in _SPEEDS if kmh <= max(1.25 * 3.6 * fastest, _SPEEDS[0])]
