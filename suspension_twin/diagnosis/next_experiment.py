@@ -5,6 +5,7 @@ at another speed, or over an obstacle."""
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,7 +35,7 @@ from suspension_twin.signals.conditioner import Conditioner
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["Drive", "manoeuvres", "next_experiment", "planned_drive", "separating_drive"]
+__all__ = ["ProposedDrive", "manoeuvres", "next_experiment", "planned_drive", "separating_drive"]
 
 #: Of the virtual sensor: those of a phone and an RTK receiver.
 _SENSOR = SensorErrors()
@@ -42,10 +43,8 @@ _SENSOR = SensorErrors()
 _LONGEST, _MARGIN = 40.0, 0.5
 #: m/s² of a calm driver (Bae, Moon and Seo, Electronics 8, 2019: comfortable up to 2 m/s²).
 _ACCELERATION, _BRAKING = 1.5, 2.0
-#: km/h over the twin's own road.
-_SPEEDS: Final = (10.0, 20.0, 30.0, 40.0, 50.0, 70.0, 90.0)
-#: nats from which on a drive settles it: a thousand to one.
-_SETTLED: Final = float(np.log(1000.0))
+#: km/h from one speed over the twin's own road to the next (tolerance): a driver holds one to a few km/h.
+_PACE = 10.0
 #: Obstacles with the speed over each: m, km/h.
 _OBSTACLES: Final[list[Json]] = json.loads(
     Path(__file__).with_name("obstacles.json").read_text(encoding="utf-8")
@@ -159,7 +158,7 @@ def _road_of(obstacle: Json) -> Road:
 
 
 @dataclass(frozen=True)
-class Drive:
+class ProposedDrive:
     """A drive that separates two twins: over a ``road`` that is named, or the twin's own, at ``kmh``; ``nats`` is the
     expected log likelihood ratio, ``rms`` the difference in the ``channel`` that shows it best, m/s² or rad/s."""
 
@@ -168,6 +167,11 @@ class Drive:
     nats: float
     channel: str
     rms: float
+
+    @property
+    def settles(self) -> bool:
+        """Whether it makes one a thousand times as likely as the other."""
+        return self.nats > math.log(1000.0)
 
     @property
     def name(self) -> str:
@@ -187,7 +191,7 @@ class Drive:
 
 def separating_drive(
     first: Twin, second: Twin, noise: dict[str, float], share: float, own: Sequence[tuple[Road, float]] = ()
-) -> Drive | None:
+) -> ProposedDrive | None:
     """The drive on which two twins differ most: over their ``own`` road at speeds in km/h, where that settles it, else
     over an obstacle of the menu too; None where none can be simulated.
 
@@ -195,7 +199,7 @@ def separating_drive(
     model discrepancy, a ``share`` of the rms s of the motion.
     """
 
-    def separation(manoeuvre: tuple[str, Road, float]) -> Drive | None:
+    def separation(manoeuvre: tuple[str, Road, float]) -> ProposedDrive | None:
         name, road, kmh = manoeuvre
         try:
             one, other = (
@@ -211,14 +215,14 @@ def separating_drive(
             parts[channel] = float(np.sum(squares)) / variance * one.bandwidth / one.rate
             difference[channel] = float(np.sqrt(np.mean(squares)))
         best = max(parts, key=parts.__getitem__)
-        return Drive(name, kmh, sum(parts.values()), best, difference[best])
+        return ProposedDrive(name, kmh, sum(parts.values()), best, difference[best])
 
-    def best(menu: Sequence[tuple[str, Road, float]]) -> Drive | None:
+    def best(menu: Sequence[tuple[str, Road, float]]) -> ProposedDrive | None:
         found = [drive for drive in map(separation, menu) if drive is not None]
         return max(found, key=lambda drive: drive.nats, default=None)
 
     at_home = best([("", *drive) for drive in own])
-    if at_home is not None and at_home.nats > _SETTLED:
+    if at_home is not None and at_home.settles:
         return at_home
     return max(filter(None, (at_home, best(manoeuvres()))), key=lambda drive: drive.nats, default=None)
 
@@ -246,7 +250,7 @@ def next_experiment(case: Case, rivals: Sequence[Candidate], answer: str, judged
         text = f"No manoeuvre of those that were simulated would separate {pair}. {shows}{tail}"
         return text, {}
     why = " if there is a gap at all" if answer == "no_gap" else ""
-    if found.nats > _SETTLED:
+    if found.settles:
         worth = "settle it"
     else:
         worth = f"make the right one {np.exp(found.nats):.0f} times as likely as the other"
@@ -259,6 +263,5 @@ def _own_road(case: Case) -> list[tuple[Road, float]]:
     """The road of the drives at speeds from walking pace up to a quarter beyond the fastest."""
     if not case.road:
         return []
-    fastest = max(float(np.abs(d.along).max()) for d in case.drives)
-    road = case.drives[0].road
-    return [(road, kmh) for kmh in _SPEEDS if kmh <= max(1.25 * 3.6 * fastest, _SPEEDS[0])]
+    fastest = 1.25 * 3.6 * max(float(np.abs(d.along).max()) for d in case.drives)
+    return [(case.drives[0].road, kmh) for kmh in np.arange(_PACE, max(fastest, _PACE) + 0.1, _PACE).tolist()]

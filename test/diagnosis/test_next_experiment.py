@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from suspension_twin.diagnosis.next_experiment import (
-    Drive,
+    ProposedDrive,
     next_experiment,
     planned_drive,
     separating_drive,
@@ -94,7 +94,9 @@ def test_the_next_drive_says_how_much_it_is_worth(nats, says, monkeypatch):
     import suspension_twin.diagnosis.next_experiment as module
 
     monkeypatch.setattr(module, "twin_of", lambda problem, fit: None)
-    monkeypatch.setattr(module, "separating_drive", lambda *_: Drive("a bump", 20.0, nats, "roll_rate", 0.3))
+    monkeypatch.setattr(
+        module, "separating_drive", lambda *_: ProposedDrive("a bump", 20.0, nats, "roll_rate", 0.3)
+    )
     judged = SimpleNamespace(problem=None, scale=SimpleNamespace(noise={}, reference=None))
     road = SimpleNamespace(kind="road", road=False)
     text, drive = next_experiment(road, candidates("time_offset", "clock_drift"), "unknown", judged)
@@ -105,7 +107,9 @@ def test_a_vehicle_without_a_missing_effect_is_a_rival(monkeypatch):
     import suspension_twin.diagnosis.next_experiment as module
 
     monkeypatch.setattr(module, "twin_of", lambda problem, fit: None)
-    monkeypatch.setattr(module, "separating_drive", lambda *_: Drive("", 30.0, 9.0, "pitch_rate", 0.02))
+    monkeypatch.setattr(
+        module, "separating_drive", lambda *_: ProposedDrive("", 30.0, 9.0, "pitch_rate", 0.02)
+    )
     judged = SimpleNamespace(problem=None, scale=SimpleNamespace(noise={}, reference=None))
     road = SimpleNamespace(kind="road", road=False)
     text, drive = next_experiment(road, candidates("payload", ""), "suspected", judged)
