@@ -534,3 +534,59 @@ def test_the_table_and_the_picture_are_drawn(tmp_path: Path) -> None:
     assert "null: a cause suspected" in text and len(text.splitlines()) > len(result["figures"])
     draw(rows, result, tmp_path / "made" / "confusion.png")
     assert (tmp_path / "made" / "confusion.png").read_bytes().startswith(b"\x89PNG")
+
+
+def _answered(out: Path, name: str, stage: str, **document: Any) -> None:
+    folder = out / stage / name
+    folder.mkdir(parents=True)
+    causes = [{"effect": "payload", "presence": 0.6}]
+    text = json.dumps({"causes": causes, "combination": [], **document})
+    (folder / "diagnosis.json").write_text(text, encoding="utf-8")
+
+
+def test_what_was_proposed_over_the_road_of_the_case_is_driven_and_scored(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from blind import more, plan, seal
+    from blind.world import make_world
+
+    spec = next(c for c in plan.plan("report5") if c.kind == "single" and c.reality == "newton")
+    world = make_world(spec.world, spec.right, spec.scene)
+    label = {"faults": {"payload": {"mass": 200.0, "x": 0.5, "y": 0.0, "z": 0.6}}}
+    more.driven(spec, label, 25.0, tmp_path / more.NAME)
+    drive = read_drive(tmp_path / more.NAME)
+    speed = np.hypot(*drive.velocity.enu[:, :2].T)
+    assert np.median(speed[speed > 1.0]) == pytest.approx(25.0 / 3.6, abs=0.3)
+    assert len({p.start for p in world.plans.values()} | {drive.imu.t[0].round(3)}) == len(world.plans) + 1
+
+    said = {"next_drive": {"speed_kmh": 20.0}}
+    _answered(tmp_path, "open", "answers", verdict="suspected", **said)
+    _answered(tmp_path, "sure", "answers", verdict="effect", **said)
+    _answered(
+        tmp_path, "bump", "answers", verdict="unknown", next_drive={"road": "a bump", "speed_kmh": 20.0}
+    )
+    _answered(tmp_path, "none", "answers", verdict="unknown")
+    driven = {n: more.proposed(tmp_path / "answers" / n) for n in ("open", "sure", "bump", "none", "missing")}
+    assert [n for n, drive in driven.items() if drive] == ["open"]
+
+    cases = []
+    for name, kind, truth, after in (
+        ("right", "single", ["payload"], {"verdict": "effect", "combination": ["payload"]}),
+        ("wrong", "single", ["payload"], {"verdict": "effect", "combination": ["spring_sag"]}),
+        ("still", "single", ["payload"], {"verdict": "suspected", "combination": ["payload"]}),
+        ("taken", "excluded", ["payload"], {"verdict": "unknown"}),
+        ("sound", "null", [], {"verdict": "recalibration"}),
+    ):
+        cases.append(replace(spec, name=name, kind=kind, effects=tuple(truth)))
+        _answered(tmp_path, name, "answers", verdict="unknown", **said)
+        _answered(tmp_path, name, "answers_more", **after)
+    monkeypatch.setattr(seal, "labels", lambda out: {c.name: {} for c in cases})
+    found = more.figures(cases, tmp_path)
+    assert {k: v for k, v in found.items() if k != "rows"} == {
+        "open_and_driven": 5,
+        "settled_rightly": 3,
+        "named_wrongly": 1,
+        "single": 3,
+        "single_named": 1,
+    }
+    assert "3 settled rightly, 1 named wrongly" in more.text_of(found)
