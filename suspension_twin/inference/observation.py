@@ -41,7 +41,7 @@ from suspension_twin.pose.imu_gnss_consistency import clock_offset_beyond, findi
 from suspension_twin.pose.planar_denoising import denoised_motion
 from suspension_twin.pose.satellites import satellite_motion
 from suspension_twin.pose.smoothed import MAX_MEAN_SLOPE, locked_trajectory, mean_tilt
-from suspension_twin.pose.types import STANDING_SPEED, Trajectory
+from suspension_twin.pose.types import NO_FIX, POOR_FIX, STANDING_SPEED, PoseSettings, Trajectory, fix_sigma
 from suspension_twin.road.crg import warning_of
 from suspension_twin.road.road import Outside, Road
 from suspension_twin.signals.attitude import level_rpy, rpy_matrix
@@ -542,6 +542,10 @@ def observe(
     found = _observed(Reading(drive, twin, road, settings, signals, trajectory))
     known = twin.road is not None and road.name == twin.road.file.name
     about = warning_of(twin.road.file) if known and twin.road is not None else None
+    sigma = _position_sigma(drive)
+    if sigma and not np.nansum(drive.fix.sigma[:, :2]):
+        text = f"the receiver does not say how accurate its positions are: they are taken as good to {sigma:.2g} m"
+        noticed.append(Finding("warn", "accuracy", text))
     beside = found.off_road.sentence(float(signals.t[0]))
     noticed += [Finding("warn", "off_road", beside)] if beside else []
     said = dict.fromkeys(
@@ -552,7 +556,8 @@ def observe(
         )
     )
     # a place that was felt is that of one axle or of the other
-    sigma = _position_sigma(drive) if len(drive.fix) else float(np.ptp(twin.vehicle.wheel_positions[:, 0]))
+    if not len(drive.fix):
+        sigma = float(np.ptp(twin.vehicle.wheel_positions[:, 0]))
     return replace(found, warnings=tuple(said), position_sigma=sigma)
 
 
@@ -683,10 +688,15 @@ def first_fix(drive: Drive) -> Datum:
 
 
 def _position_sigma(drive: Drive) -> float:
-    """Median horizontal standard deviation of the fixes, 0 where the receiver gives none."""
+    """Median horizontal standard deviation of the fixes in m; where the receiver gives none, that of its kind, and 0 of
+    one with RTK."""
     sigma = drive.fix.sigma[:, :2]
     known = sigma[np.isfinite(sigma).all(axis=1) & (sigma > 0).all(axis=1)]
-    return float(np.median(known)) if known.size else 0.0
+    if known.size:
+        return float(np.median(known))
+    kinds = drive.fix.status[drive.fix.status != NO_FIX].tolist()
+    assumed = float(np.median([fix_sigma(PoseSettings(), kind, np.nan, np.nan) for kind in kinds] or [0.0]))
+    return assumed if assumed > POOR_FIX else 0.0
 
 
 def _on_road(source: Reading) -> NDArray[np.bool_]:

@@ -264,15 +264,32 @@ def _at_imu(
 
 def consistency(drive: Drive, signals: ImuSignals, gps: Place) -> Consistency | None:
     """Compare IMU and GNSS; None where the drive has too little planar acceleration."""
-    return _compared(_changes(drive, signals, gps))
+    best = _likeliest(_changes(drive, signals, gps))
+    return None if best is None else _compared(best)
 
 
-def _compared(candidates: Sequence[_Changes]) -> Consistency | None:
-    """By the candidate that correlates most."""
-    known = [(_best_lag(one), one) for one in candidates]
-    if not known:
-        return None
-    (plain, mirrored), changes = max(known, key=lambda k: max(abs(k[0][0].value), abs(k[0][1].value)))
+@dataclass(frozen=True, eq=False)
+class _Likeliest:
+    """``changes`` with the lags of their largest correlations, ``plain`` and ``mirrored``."""
+
+    changes: _Changes
+    plain: _Lag
+    mirrored: _Lag
+
+    @property
+    def value(self) -> float:
+        """The largest correlation."""
+        return max(abs(self.plain.value), abs(self.mirrored.value))
+
+
+def _likeliest(candidates: Sequence[_Changes]) -> _Likeliest | None:
+    """The candidate that correlates most."""
+    known = [_Likeliest(one, *_best_lag(one)) for one in candidates]
+    return max(known, key=lambda one: one.value, default=None)
+
+
+def _compared(found: _Likeliest) -> Consistency | None:
+    plain, mirrored = found.plain, found.mirrored
     # mirrored axes may also correlate by chance at a long lag
     better = abs(mirrored.value) - abs(plain.value)
     handed = better > _LEAST_MARGIN or (
@@ -282,7 +299,7 @@ def _compared(candidates: Sequence[_Changes]) -> Consistency | None:
     if abs(best.value) < _LEAST_CORRELATION:
         return None
     yaw = 0.0 if handed else float(-np.angle(best.value))
-    return Consistency(best.lag, best.sigma, yaw, handed, changes.reversed(best.lag))
+    return Consistency(best.lag, best.sigma, yaw, handed, found.changes.reversed(best.lag))
 
 
 def _yaw_change(changes: _Changes) -> tuple[float, float] | None:
@@ -381,15 +398,15 @@ def findings(drive: Drive, signals: ImuSignals, gps: Place) -> list[Finding]:
         return [Finding("error", "rates_unknown", text)]
     if fault := velocity_fault(drive.fix, drive.velocity):
         return [Finding("error", "speed", fault)]
-    candidates = _changes(drive, signals, gps)
-    change = next((c for c in map(_yaw_change, candidates) if c is not None), None)
+    best = _likeliest(_changes(drive, signals, gps))
+    change = None if best is None else _yaw_change(best.changes)
     if change is not None:
         text = (
             f"by braking and turning the sensor turned in its holder by {math.degrees(change[1]):.0f}° about the "
             f"vertical at {change[0] - signals.t[0]:.1f} s: cut the drive there"
         )
         return [*found, Finding("error", "swivelled", text)]
-    known = _compared(candidates)
+    known = None if best is None else _compared(best)
     if known is None:
         return found
     if known.mirrored:

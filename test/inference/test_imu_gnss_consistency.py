@@ -16,7 +16,7 @@ from suspension_twin.errors import InputError
 from suspension_twin.inference.observation import observe, with_shown_errors
 from suspension_twin.inference.synthetic import SensorErrors, synthetic_drive
 from suspension_twin.models.simulate import simulate_twin
-from suspension_twin.pose.imu_gnss_consistency import consistency
+from suspension_twin.pose.imu_gnss_consistency import consistency, findings
 from suspension_twin.road import ReferenceLine, Road, flat_road
 from suspension_twin.road.crg import write_road
 from suspension_twin.signals.attitude import rpy_matrix
@@ -341,3 +341,13 @@ def test_few_seconds_say_how_little_they_tell(drive: Drive, twin: Twin) -> None:
     assert whole is not None and brief is not None
     assert brief.clock_sigma > whole.clock_sigma
     assert abs(brief.clock_offset) < 3.0 * brief.clock_sigma
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_altitudes_that_are_metres_off_turn_no_sensor(repository: Path, stated: bool) -> None:
+    twin = load_twin(repository / "bags" / "bump_phone" / "car.yaml")
+    drive = read_drive(repository / "bags" / "bump_phone")
+    if not stated:
+        drive = replace(drive, fix=replace(drive.fix, sigma=np.full_like(drive.fix.sigma, np.nan)))
+    said = findings(drive, ingest_drive(drive, twin.imu), twin.gps)
+    assert {f.code for f in said} == {"clocks"}

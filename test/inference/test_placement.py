@@ -84,6 +84,16 @@ def test_the_limit_is_half_the_shortest_wave(twin: Twin) -> None:
         assert is_open(observe(phone(drive, twin, 0.0, sigma), twin, BUMP)) is wanted
 
 
+def test_a_receiver_that_states_no_accuracy_is_as_good_as_its_kind(twin: Twin) -> None:
+    drive = driven(twin)
+    for status, sigma in ((0, 2.5), (-2, 2.5), (1, 1.0), (2, 0.0)):
+        kind = np.full_like(drive.fix.status, status)
+        fix = replace(drive.fix, status=kind, sigma=np.full_like(drive.fix.sigma, np.nan))
+        seen = observe(replace(drive, fix=fix), twin, BUMP)
+        assert seen.position_sigma == pytest.approx(sigma) and is_open(seen) is (sigma > 0.0)
+        assert any("how accurate" in line for line in seen.warnings) is (sigma > 0.0)
+
+
 @pytest.mark.long
 def test_a_bump_of_another_road_is_not_placed(twin: Twin) -> None:
     """Felt is a bump; on the road of the file there is none: the pass is not compared."""
