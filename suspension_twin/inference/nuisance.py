@@ -24,6 +24,7 @@ from suspension_twin.inference.sensor_reading import read_alike, read_any, read_
 from suspension_twin.models.parameters import Parameter, Prior
 from suspension_twin.models.sensor_chain import TABLE
 from suspension_twin.models.simulate import cores, share_out
+from suspension_twin.pose.types import RECEIVER_TIME
 
 if TYPE_CHECKING:
     from suspension_twin.inference.observation import Observation
@@ -389,7 +390,7 @@ def course_covariance(motion: Floats, sigma: float) -> Floats:
     motion : (2, k) array
         Times in s and courses in rad.
     sigma : float
-        The receiver's horizontal standard deviation in m; its error is correlated over T, ``position_memory`` s, and
+        The receiver's horizontal standard deviation in m; its error is correlated over T, ``RECEIVER_TIME`` s, and
         has a derivative, as the smoothed path has a speed: Matérn 3/2.
 
     Returns
@@ -399,7 +400,7 @@ def course_covariance(motion: Floats, sigma: float) -> Floats:
     """
     t, course = motion
     apart, turn = np.subtract.outer(t, t), np.subtract.outer(course, course)
-    memories = np.sqrt(3.0) * np.abs(apart) / SINGLE["position_memory"]
+    memories = np.sqrt(3.0) * np.abs(apart) / RECEIVER_TIME
     return np.asarray(sigma**2 * np.cos(turn) * (1.0 + memories) * np.exp(-memories))
 
 
