@@ -123,8 +123,9 @@ def _said(document: dict[str, Any]) -> list[Any]:
 
 
 def _settled(kind: str, truth: tuple[str, ...], after: dict[str, Any]) -> bool:
+    verdict = str(after["verdict"])
     if kind == "null":
-        return after["verdict"] in _SOUND
+        return verdict in _SOUND
     if not truth:
-        return after["verdict"] == "unknown"
-    return after["verdict"] in _SURE and set(after["combination"]) == set(truth)
+        return verdict == "unknown"
+    return verdict in _SURE and set(after["combination"]) == set(truth)

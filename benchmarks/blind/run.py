@@ -5,6 +5,7 @@
     python benchmarks/blind.py --seeds train --case N                 # one case of the plan, by its number
     python benchmarks/blind.py --stage generate|diagnose|score ...    # one stage alone
     python benchmarks/blind.py --stage more ...    # open cases once more, with the drive that was proposed for each
+    python benchmarks/blind.py --stage ceiling ... # single causes with the package's own model as the reality
     python benchmarks/blind.py ... --keep [--add]                     # answers kept, with --add beside those before
     python benchmarks/blind.py --reality measured [--limit N]         # recordings of real cars with faults put in
 
@@ -136,7 +137,9 @@ def parsed() -> argparse.Namespace:
     parser.add_argument(
         "--seeds", choices=get_args(Seeds), help="dev, or measured_dev for --reality measured"
     )
-    parser.add_argument("--stage", choices=("generate", "diagnose", "score", "more", "all"), default="all")
+    parser.add_argument(
+        "--stage", choices=("generate", "diagnose", "score", "more", "ceiling", "all"), default="all"
+    )
     parser.add_argument(
         "--only", nargs="+", default=[], metavar="EFFECT", help="effects, kinds or names of cases"
     )
@@ -193,6 +196,11 @@ def main() -> None:
         more.settle(cases, options.out, tell)
         result = more.figures(cases, options.out)
         print(json.dumps(result) if options.json else more.text_of(result))
+    if options.stage == "ceiling":
+        from blind import ceiling
+
+        result = ceiling.compare(cases, options.out, tell)
+        print(json.dumps(result) if options.json else ceiling.text_of(result))
     if options.stage in ("score", "all"):
         from blind.table import report
 

@@ -18,8 +18,8 @@ PLAIN = 1.3  # measured severity from which on a single effect has to be named: 
 BINS = (0.0, 0.05, 0.2, 0.5, 0.8, 0.95, 1.0)
 _NAMED = ("effect", "partly")
 #: Said of the road file in a label and of the true road in an answer; and a sign that is the reality's own affair.
-_TURNED = {("position_offset", "offset"), ("lateral_offset", "offset")}
-_UNSIGNED = {("body_bending", "gain")}
+TURNED = {("position_offset", "offset"), ("lateral_offset", "offset")}
+UNSIGNED = {("body_bending", "gain")}
 
 
 def row_of(label: dict[str, Any], answer: Path, further: Callable[[], tuple[float, float] | None]) -> Row:
@@ -87,9 +87,9 @@ def _parameters(label: dict[str, Any], d: dict[str, Any]) -> dict[str, list[floa
             if truth is None or name == "corner":
                 continue
             told = cause["parameters"][name]
-            if (effect, name) in _TURNED:
+            if (effect, name) in TURNED:
                 truth = -truth
-            elif (effect, name) in _UNSIGNED:
+            elif (effect, name) in UNSIGNED:
                 truth = math.copysign(truth, told)
             out[f"{effect}.{name}"] = [float(v) for v in (truth, told, *ends)]
     return out
