@@ -19,6 +19,8 @@ from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import cut
 from suspension_twin.drive.write import write_drive
 from suspension_twin.effects.registry import EFFECTS
+from suspension_twin.inference.simulated import simulate_drive
+from suspension_twin.vehicle.twin import load_twin
 
 CONTRACT = (
     "strut_friction",
@@ -590,3 +592,22 @@ def test_what_was_proposed_over_the_road_of_the_case_is_driven_and_scored(
         "single_named": 1,
     }
     assert "3 settled rightly, 1 named wrongly" in more.text_of(found)
+
+
+def test_a_drive_of_the_own_model_leaves_as_much_but_not_the_same(repository: Path) -> None:
+    from blind.ceiling import remade
+
+    folder = repository / "bags" / "crg_road"
+    drive, twin = read_drive(folder), load_twin(folder / "twin.yaml")
+    before = simulate_drive(drive, twin)
+    rows, alike = before.observation.driving, []
+    for seed in range(6):
+        own = remade(drive, twin, np.random.default_rng(seed))
+        assert own.fix is drive.fix and own.velocity is drive.velocity
+        found = simulate_drive(own, twin)
+        assert found.gap.rms == pytest.approx(before.gap.rms, rel=0.3)
+        left = [(f.measured["pitch_rate"] - f.simulated["pitch_rate"])[rows] for f in (before, found)]
+        alike.append(np.corrcoef(*left)[0, 1])
+    assert abs(np.mean(alike)) < 0.5 and max(map(abs, alike)) < 0.98
+    again = remade(drive, twin, np.random.default_rng(5))
+    assert np.array_equal(again.imu.specific_force, own.imu.specific_force)
