@@ -66,7 +66,7 @@ def diagnosis_page(result: DiagnosisResult) -> Page:
         _recalibrated(result),
         _where(result),
         _likeliest(d),
-        Section("What to drive next", d["next_experiment"]),
+        Section("What to drive next", _next_drive(d)),
     ):
         if section is not None:
             page.add(section)
@@ -85,6 +85,13 @@ def _interval(ends: Sequence[float]) -> str:
 
 
 # -- before and after --------------------------------------------------------------------------------
+
+
+def _next_drive(d: Document) -> str:
+    """The proposal, and how to go on with a drive over the twin's own road."""
+    drive = d.get("next_drive")
+    more = "\n\nThen: `suspension-twin diagnose --add DRIVE`, with the `--out` of this one."
+    return f"{d['next_experiment']}{more if drive and 'road' not in drive else ''}"
 
 
 def _before_and_after(result: DiagnosisResult) -> Section:

@@ -239,3 +239,12 @@ def test_no_name_of_a_vehicle_a_drive_an_effect_or_a_file_becomes_a_part_of_the_
     page = Acting()
     page.feed(html)
     assert page.found == []
+
+
+@pytest.mark.parametrize(
+    ("proposed", "wanted"),
+    [({"speed_kmh": 20.0}, True), ({"speed_kmh": 20.0, "road": "a bump"}, False), ({}, False)],
+)
+def test_the_page_says_how_to_go_on_with_a_drive_over_the_same_road(repository, proposed, wanted):
+    html = diagnosis_page(result(repository, document(next_drive=proposed))).render()
+    assert ("diagnose --add DRIVE" in html) is wanted
