@@ -134,8 +134,10 @@ def _next(
         if len(document["combination"]) > 1
         else [r for c in decision.candidates if (r := _rival(judged, c))]
     )
-    if rivals and rivals[0].effects and document["verdict"] in ("suspected", "unknown"):
-        rivals.append(judged.base)  # what else is left cannot be simulated
+    if document["verdict"] in ("suspected", "unknown"):
+        # an unknown cause cannot be simulated: the likeliest of the library tells it from none by another drive
+        rivals = rivals or [c for c in judged.singles if c.effects == (document["causes"][0]["effect"],)]
+        rivals += [judged.base] if rivals and rivals[0].effects else []
     return next_experiment(case, rivals, document["verdict"], judged)
 
 

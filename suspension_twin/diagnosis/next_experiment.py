@@ -252,12 +252,13 @@ def next_experiment(case: Case, rivals: Sequence[Candidate], answer: str, judged
         text = f"No manoeuvre of those that were simulated would separate {pair}. {shows}{tail}"
         return text, {}
     why = " if there is a gap at all" if answer == "no_gap" else ""
-    if found.settles:
-        worth = "settle it"
-    else:
-        worth = f"make the right one {np.exp(found.nats):.0f} times as likely as the other"
-    differ = f"by {found.rms:.2g} {channel_unit(found.channel)} in {found.channel.replace('_', ' ')}"
-    text = f"Drive {found.name}: it separates {pair} best{why}; one pass should {worth}, for they differ {differ}."
+    worth = (
+        ""
+        if found.settles
+        else f"; one pass should make the right one {np.exp(found.nats):.0f} times as likely as the other"
+    )
+    differ = f"{found.rms:.2g} {channel_unit(found.channel)} in {found.channel.replace('_', ' ')}"
+    text = f"Drive {found.name}: there {' and '.join(names)} differ most{why}, by {differ}{worth}."
     return text + tail, found.as_dict()
 
 

@@ -87,10 +87,12 @@ def test_a_next_drive_is_proposed_only_where_two_candidates_are_left():
     [
         (
             9.0,
-            "Drive a bump at 20 km/h: it separates clock offset from clock drift best; one pass should settle it, for "
-            "they differ by 0.3 rad/s in roll rate.",
+            "Drive a bump at 20 km/h: there clock offset and clock drift differ most, by 0.3 rad/s in roll rate.",
         ),
-        (2.0, "one pass should make the right one 7 times as likely as the other, for"),
+        (
+            2.0,
+            "by 0.3 rad/s in roll rate; one pass should make the right one 7 times as likely as the other.",
+        ),
         (0.5, "Clock drift shows in: long drives, bumps early and late."),
     ],
 )
@@ -118,6 +120,6 @@ def test_a_vehicle_without_a_missing_effect_is_a_rival(monkeypatch):
     road = SimpleNamespace(kind="road", road=False)
     text, drive = next_experiment(road, candidates("payload", ""), "suspected", judged)
     assert text.startswith(
-        "Drive the road of the twin once more at 30 km/h: it separates unlisted payload from no "
+        "Drive the road of the twin once more at 30 km/h: there unlisted payload and no missing effect differ"
     )
     assert drive == {"speed_kmh": 30.0, "channel": "pitch_rate", "difference": 0.02}

@@ -351,3 +351,42 @@ def test_altitudes_that_are_metres_off_turn_no_sensor(repository: Path, stated: 
         drive = replace(drive, fix=replace(drive.fix, sigma=np.full_like(drive.fix.sigma, np.nan)))
     said = findings(drive, ingest_drive(drive, twin.imu), twin.gps)
     assert {f.code for f in said} == {"clocks"}
+
+
+@pytest.mark.parametrize("degrees", [30.0, -60.0])
+def test_a_sensor_that_turns_once_is_named_with_the_moment(
+    winding: Drive, twin: Twin, degrees: float
+) -> None:
+    middle = 0.5 * (winding.imu.t[0] + winding.imu.t[-1])
+    (said,) = swivelled(turned_from(winding, middle, math.radians(degrees)), twin)
+    at = float(said.split(" at ")[1].split(" s")[0])
+    assert at == pytest.approx(middle - winding.imu.t[0], abs=2.5)
+
+
+def test_one_hard_stop_turns_no_sensor(twin: Twin, bumps: Road) -> None:
+    """However far to the side it is felt: a body that leans and dives, as a soft or laden one does."""
+    knots = [
+        (0.0, 0.0),
+        (3.0, 0.0),
+        (9.0, 5.0),
+        (15.0, 4.0),
+        (21.0, 6.0),
+        (26.0, 5.5),
+        (28.0, 0.0),
+        (32.0, 0.0),
+    ]
+    gentle = synthetic_drive(twin, bumps, knots, seed=4, errors=SensorErrors(), name="ride")
+    assert swivelled(turned_from(gentle, gentle.imu.t[0] + 26.7, math.radians(30.0)), twin) == []
+
+
+def turned_from(drive: Drive, moment: float, yaw: float) -> Drive:
+    """The drive of a sensor that turns in its holder."""
+    turned, later = facing(drive, yaw).imu, drive.imu.t[:, None] > moment
+    force = np.where(later, turned.specific_force, drive.imu.specific_force)
+    rate = np.where(later, turned.angular_rate, drive.imu.angular_rate)
+    return replace(drive, imu=replace(drive.imu, specific_force=force, angular_rate=rate))
+
+
+def swivelled(drive: Drive, twin: Twin) -> list[str]:
+    said = findings(drive, ingest_drive(drive, twin.imu), twin.gps)
+    return [f.text for f in said if f.code == "swivelled"]
