@@ -205,7 +205,10 @@ def first_state(measured: Measurements, stamps: Floats, rows: Floats) -> tuple[F
         within = (at >= stamps[0]) & (at <= stamps[-1])
         fast = np.flatnonzero(within & (speed > np.maximum(0.5, 8.0 * sigma)))
         if not fast.size:
-            raise InputError("vel", "the vehicle never moves fast enough for its course to give the yaw")
+            slow = "the vehicle never moves fast enough for its course to give the yaw"
+            if np.any(measured.kind == ekf.VELOCITY):
+                raise InputError("vel", slow)
+            raise InputError("fix", f"by its positions {slow}: record the receiver's velocities too")
         quick = speed[fast] > min(5.0, 0.8 * float(speed[fast].max()))
         chosen = int(fast[np.flatnonzero(quick)[0]])
         when, yaw = float(at[chosen]), float(course[chosen])

@@ -293,8 +293,10 @@ def test_a_pull_that_says_nothing_turns_nothing_round() -> None:
 @pytest.mark.parametrize(("speed", "sigma"), [(0.4, 0.02), (1.5, 0.3)])
 def test_too_slow_for_a_course_is_refused(speed: float, sigma: float) -> None:
     path = Path(steady(speed))
-    with pytest.raises(InputError, match="never moves fast enough"):
+    with pytest.raises(InputError, match="^vel: the vehicle never moves fast enough"):
         first_state(together(path.fixes(EVERY), path.velocities(EVERY, sigma)), path.stamps, path.rows)
+    with pytest.raises(InputError, match="^fix: .* record the receiver's velocities"):
+        first_state(together(path.fixes(EVERY[:2])), path.stamps, path.rows)
 
 
 @pytest.mark.parametrize("sigma", [0.05, 0.2])
