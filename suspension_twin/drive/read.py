@@ -15,7 +15,7 @@ from suspension_twin.drive.cdr import Decoded
 from suspension_twin.drive.checks import clean_drive, repair_stamps
 from suspension_twin.drive.contents import Contents, decode_topic, topic_name
 from suspension_twin.drive.recording import read_recording
-from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, VelocityData
+from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, VelocityData, deviations
 from suspension_twin.errors import InputError
 from suspension_twin.files import reader
 
@@ -207,14 +207,13 @@ def _fix(columns: _Columns) -> FixData:
     if not columns.groups:
         return FixData.empty()
     variance = columns.rows("position_covariance")[:, [0, 4, 8]]
-    known = (columns.rows("position_covariance_type") != 0)[:, None] & np.isfinite(variance) & (variance >= 0)
     return FixData(
         t=columns.t,
         latitude=columns.rows("latitude"),
         longitude=columns.rows("longitude"),
         altitude=columns.rows("altitude"),
         status=columns.rows("status.status").astype(np.int8),
-        sigma=np.sqrt(np.where(known, variance, np.nan)),
+        sigma=deviations(variance, columns.rows("position_covariance_type") != 0),
         frame=columns.frame or "gps_link",
     )
 

@@ -23,6 +23,7 @@ __all__ = [
     "VelocityData",
     "concatenate",
     "cut",
+    "deviations",
 ]
 
 if TYPE_CHECKING:
@@ -90,6 +91,14 @@ class ImuData(_Samples):
     angular_rate: Floats
     orientation: Floats | None = None
     frame: str = "imu_link"
+
+
+def deviations(variance: Floats, known: NDArray[np.bool_]) -> Floats:
+    """(k, 3) m of the diagonal (k, 3) m² of covariances that are ``known`` (k,); NaN where nothing is stated: a height
+    of variance 0 beside a place that has one is none, as of a receiver that states horizontal accuracy alone."""
+    stated = known[:, None] & np.isfinite(variance) & (variance >= 0)
+    stated[:, 2] &= (variance[:, 2] > 0) | (variance[:, :2] <= 0).all(axis=1)
+    return np.sqrt(np.where(stated, variance, np.nan))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -396,8 +396,8 @@ def _write_imu(bag: BagWriter, imu: ImuData, topic: str) -> None:
 
 def _write_fixes(bag: BagWriter, fix: FixData, topic: str) -> None:
     covariance = np.zeros((len(fix), 9))
-    known = np.asarray(np.isfinite(fix.sigma).all(axis=1))
-    covariance[:, [0, 4, 8]] = np.where(known[:, None], fix.sigma, 0.0) ** 2
+    known = np.asarray(np.isfinite(fix.sigma[:, :2]).all(axis=1))
+    covariance[:, [0, 4, 8]] = np.where(known[:, None], np.nan_to_num(fix.sigma), 0.0) ** 2
     values: dict[str, ArrayLike] = {
         "latitude": fix.latitude,
         "longitude": fix.longitude,

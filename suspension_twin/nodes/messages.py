@@ -14,7 +14,7 @@ from sensor_msgs.msg import Imu, NavSatFix
 from std_msgs.msg import Header
 
 from suspension_twin.arrays import Floats
-from suspension_twin.drive.types import FixData, HeadingData, ImuData, VelocityData
+from suspension_twin.drive.types import FixData, HeadingData, ImuData, VelocityData, deviations
 from suspension_twin.errors import InputError
 from suspension_twin.nodes.topics import NS, Message
 from suspension_twin.pose.lock import PlanarMotion, PlanarState
@@ -150,15 +150,13 @@ def read_imu(messages: Sequence[Imu]) -> ImuData:
 def read_fix(messages: Sequence[NavSatFix]) -> FixData:
     """As :func:`read_imu`."""
     variance = np.array([m.position_covariance[[0, 4, 8]] for m in messages]).reshape(-1, 3)
-    known = np.array([m.position_covariance_type != 0 for m in messages], dtype=np.bool_)[:, None] & (
-        variance >= 0
-    )
+    known = np.array([m.position_covariance_type != 0 for m in messages], dtype=np.bool_)
     latitude, longitude, altitude, status = (
         np.array([(m.latitude, m.longitude, m.altitude, m.status.status) for m in messages], dtype=np.float64)
         .reshape(-1, 4)
         .T
     )
-    sigma = np.sqrt(np.where(known, variance, np.nan))
+    sigma = deviations(variance, known)
     return FixData(_stamps(messages), latitude, longitude, altitude, status.astype(np.int8), sigma)
 
 

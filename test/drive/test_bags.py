@@ -576,3 +576,22 @@ def test_a_live_folder_is_a_recording_from_its_beginning(
         assert topic["topic_metadata"]["name"] == "/fix"
         assert len(read_recording(path).topics["/fix"].data) == 3
     assert described()["message_count"] == 3 and len(read_recording(path).topics["/fix"].data) == 3
+
+
+@pytest.mark.parametrize(
+    ("sigma", "kept"),
+    [
+        ((0.02, 0.03, 0.05), (0.02, 0.03, 0.05)),
+        ((3.5, 3.5, np.nan), (3.5, 3.5, np.nan)),  # as phones state it
+        ((np.nan, np.nan, np.nan), (np.nan, np.nan, np.nan)),
+        ((np.nan, np.nan, 2.0), (np.nan, np.nan, np.nan)),
+        ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+    ],
+)
+def test_what_a_receiver_states_of_its_accuracy_is_kept(
+    repository: Path, tmp_path: Path, sigma: tuple[float, ...], kept: tuple[float, ...]
+) -> None:
+    drive = read_drive(repository / "bags" / "bump_phone")
+    fix = replace(drive.fix, sigma=np.tile(sigma, (len(drive.fix), 1)))
+    write_drive(replace(drive, fix=fix), tmp_path / "drive")
+    np.testing.assert_allclose(read_drive(tmp_path / "drive").fix.sigma, np.tile(kept, (len(fix), 1)))
