@@ -29,6 +29,7 @@ from suspension_twin.calibration.run import calibrate
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive, ImuData
 from suspension_twin.drive.write import write_drive
+from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.errors import SuspensionTwinError
 from suspension_twin.inference.simulated import simulate_drive
 from suspension_twin.models.sensor import to_sensor_axes
@@ -52,6 +53,7 @@ def true_twin(case: Path, label: dict[str, Any], folder: Path) -> Twin:
                 if (effect, name) in UNSIGNED
                 else value
                 for name, value in values.items()
+                if name in {p.name for p in EFFECTS[effect].parameters}
             },
         }
         for effect, values in label["faults"].items()
