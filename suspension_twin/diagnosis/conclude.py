@@ -135,9 +135,9 @@ def _next(
         else [r for c in decision.candidates if (r := _rival(judged, c))]
     )
     if document["verdict"] in ("suspected", "unknown"):
-        # an unknown cause cannot be simulated: the likeliest of the library tells it from none by another drive
-        rivals = rivals or [c for c in judged.singles if c.effects == (document["causes"][0]["effect"],)]
-        rivals += [judged.base] if rivals and rivals[0].effects else []
+        # an unknown cause cannot be simulated: the likeliest of the library is told from none by another drive
+        leading = [c for c in judged.singles if c.effects == (document["causes"][0]["effect"],)]
+        rivals = list({c.effects: c for c in (*rivals, *leading, judged.base)}.values())
     return next_experiment(case, rivals, document["verdict"], judged)
 
 

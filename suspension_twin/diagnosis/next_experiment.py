@@ -231,8 +231,6 @@ def next_experiment(case: Case, rivals: Sequence[Candidate], answer: str, judged
     """One sentence: the drive that separates the first two ``rivals`` of a diagnosis, and what it is worth; and that
     drive. A rival of no effect is the vehicle without any that is missing."""
     if len(rivals) < 2:
-        if answer == "unknown":
-            return "Nothing in the library is likely enough for a further drive to settle it.", {}
         return "No further drive is needed to separate candidates.", {}
     names = [effect_name(c.effects[0]) if c.effects else "no missing effect" for c in rivals[:2]]
     pair, effects = " from ".join(names), [c.effects[0] for c in rivals[:2] if c.effects]

@@ -73,10 +73,6 @@ def test_a_next_drive_is_proposed_only_where_two_candidates_are_left():
         "No further drive is needed to separate candidates.",
         {},
     )
-    assert next_experiment(road, candidates(""), "unknown", None) == (
-        "Nothing in the library is likely enough for a further drive to settle it.",
-        {},
-    )
     text, drive = next_experiment(run, candidates("payload", "spring_sag"), "unknown", None)
     assert text.startswith("Repeat the run with another excitation to separate unlisted payload from ")
     assert drive == {}
