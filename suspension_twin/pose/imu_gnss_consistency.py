@@ -43,6 +43,8 @@ _NEAR_STEP, _FAR_STEP, _GRID = 0.05, 0.2, 0.01
 #: s of a change of velocity at least, and of a mean velocity between positions: braking lasts longer, the errors of a
 #: receiver of centimetres become those of 0.05 m/s.
 _CHANGE, _BETWEEN = 0.5, 1.0
+#: Changes of a drive that are compared at most, evenly: an hour's say no more, and take seconds (numerics).
+_MOST = 2000
 #: Least correlation of a result, and by how much that of a long lag has to exceed that of the short ones.
 _LEAST_CORRELATION, _LEAST_MARGIN = 0.75, 0.15
 _LEAST = 0.2  # m/s² rms of the path's acceleration
@@ -137,7 +139,7 @@ class _Changes:
     def independent(self) -> float:
         """Number of changes that have errors of their own: of those that do not overlap every second, for each end of
         one is the start of the next."""
-        return 0.5 * self.start.size * self.step / float(np.median(self.end - self.start))
+        return 0.5 * self.start.size * min(self.step / float(np.median(self.end - self.start)), 1.0)
 
     def at(self, lag: float, seconds: float) -> tuple[NDArray[np.bool_], Complexes, Complexes] | None:
         """Which of them the IMU covers ``lag`` s later, and path and felt there without their means; None of less than
@@ -207,15 +209,15 @@ def _changes(drive: Drive, signals: ImuSignals, gps: Place) -> list[_Changes]:
     gap = float(np.median(np.diff(t)))
     stride = max(1, round(_CHANGE / gap))
     felt = _Felt.of(signals, ground.over)
-    first = np.arange(0, t.size - stride, max(1, stride // 2))
+    spacing = max(1, stride // 2, math.ceil(t.size / _MOST))
+    first = np.arange(0, t.size - stride, spacing)
     last = first + stride
     whole = (t[last] - t[first]) < 1.6 * max(stride * gap, gap)
 
     def between(path: Complexes, heading: Floats, used: NDArray[np.bool_]) -> _Changes:
         own = used & whole
         a, b = first[own], last[own]
-        step = gap * max(1, stride // 2)
-        return _Changes(t[a], t[b], path[own], heading[b] - heading[a], step, felt)
+        return _Changes(t[a], t[b], path[own], heading[b] - heading[a], gap * spacing, felt)
 
     speed = np.abs(velocity)
     fast = speed > _FAST
