@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.received import velocity_fault
 from suspension_twin.drive.types import Drive
+from suspension_twin.pose.satellites import LEVEL
 from suspension_twin.signals.attitude import matrix_rpy, rpy_matrix
 from suspension_twin.signals.checks import Finding
 from suspension_twin.signals.offline import GnssMotion, ImuSignals, gnss_motion
@@ -40,18 +41,19 @@ Complexes = NDArray[np.complex128]
 _LARGEST_LAG = 40.0  # s
 #: s between lags that are tried, up to _CLOCK_OFFSET_ERROR and beyond; s of the grid of the IMU's integrals (numerics).
 _NEAR_STEP, _FAR_STEP, _GRID = 0.05, 0.2, 0.01
-#: s of a change of velocity at least, and of a mean velocity between positions: braking lasts longer, the errors of a
-#: receiver of centimetres become those of 0.05 m/s.
+#: s of a change of velocity at least, and of a mean velocity between positions (prior): braking lasts longer, the
+#: errors of a receiver of centimetres become those of 0.05 m/s.
 _CHANGE, _BETWEEN = 0.5, 1.0
 #: Changes of a drive that are compared at most, evenly: an hour's say no more, and take seconds (numerics).
 _MOST = 2000
 #: Least correlation of a result, and by how much that of a long lag has to exceed that of the short ones.
 _LEAST_CORRELATION, _LEAST_MARGIN = 0.75, 0.15
 _LEAST = 0.2  # m/s² rms of the path's acceleration
-#: s of driving that a short lag and a long one need.
+#: s of driving that a short lag and a long one need (prior, by hand): of the 400 long lags one fits nine seconds by
+#: chance.
 _LEAST_SECONDS, _LONG_SECONDS = 5.0, 10.0
-#: m/s from which a course gives the heading; of a drive too slow for it, m/s from which it moves, and m/s² across up to
-#: which it goes straight on.
+#: m/s from which a course gives the heading (prior: to 3° with a phone's Doppler of 0.1 m/s); of a drive too slow for
+#: it, m/s from which it moves, and m/s² across up to which it goes straight on (prior, by hand).
 _FAST, _MOVING, _STRAIGHT = 2.0, 0.8, 0.3
 #: Limits in s and rad from which on a finding is reported, and clock offset in s from which on it is an error.
 _CLOCK_OFFSET, _TURNED, _CLOCK_OFFSET_ERROR = 0.3, 0.35, 2.0
@@ -63,8 +65,6 @@ _LEAST_SHARE = 0.15
 _LEAST_YAW_RATE = 0.02
 #: Largest plausible 99th percentile of the rate in rad/s; in °/s any drive exceeds it.
 _LARGEST_RATE = 4.0
-#: m: standard deviation of the height up to which its slope is a hill and not the receiver's error.
-_LEVEL = 0.1
 _LEAP_SECONDS = "GPS time is 18 s ahead of UTC"
 
 
@@ -249,7 +249,7 @@ def _with_hills(drive: Drive, ground: GnssMotion, found: _Changes) -> list[_Chan
     hills = np.interp(found.end, t, climbed) - np.interp(found.start, t, climbed)
     known = drive.fix.sigma[np.isfinite(drive.fix.sigma[:, 2]), 2]
     felt = replace(found, path=found.path + hills)
-    return [felt] if known.size and float(np.median(known)) <= _LEVEL else [found, felt]
+    return [felt] if known.size and float(np.median(known)) <= LEVEL else [found, felt]
 
 
 def _at_imu(

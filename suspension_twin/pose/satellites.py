@@ -25,7 +25,7 @@ from suspension_twin.signals.offline import ImuSignals
 from suspension_twin.units import STANDARD_GRAVITY as G
 from suspension_twin.vehicle.twin import Datum, Place
 
-__all__ = ["RATE", "satellite_motion"]
+__all__ = ["LEVEL", "RATE", "satellite_motion"]
 
 #: Of what is compared, Hz.
 RATE = 5.0
@@ -34,7 +34,7 @@ _SHARE, _MOST = 0.125, 0.8  # of it, Hz
 _SLOWEST = 3.0  # m/s: below it a course does not give the heading
 _GAP = 1.5  # s
 #: m: standard deviation of the height up to which its slope is a hill and not the receiver's error.
-_LEVEL = 0.1
+LEVEL = 0.1
 
 
 def satellite_motion(
@@ -156,7 +156,7 @@ def _hills(
     sigma = fix.sigma[good, 2]
     if good.size < 2:
         return np.zeros(t.size), False
-    known = bool(np.isfinite(sigma).any()) and float(np.nanmedian(sigma)) <= _LEVEL
+    known = bool(np.isfinite(sigma).any()) and float(np.nanmedian(sigma)) <= LEVEL
     at = fix.t[good]
     climb = np.gradient(slow(_spline(at, fix.altitude[good], np.clip(t, at[0], at[-1]))), t)
     return np.where(fast, G * np.sin(np.arctan2(climb, np.maximum(speed, _SLOWEST))), 0.0), known
