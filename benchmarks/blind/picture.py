@@ -74,6 +74,9 @@ def _versions(commits: Sequence[str]) -> str:
 
 
 def _matrix(axes: Axes, counts: np.ndarray, truths: list[str], answers: list[str], right: list[int]) -> None:
+    if not truths:  # faint cases and pairs alone
+        axes.set_axis_off()
+        return
     total = np.maximum(counts.sum(axis=1, keepdims=True), 1)
     share = counts / total
     colours = np.ones((*share.shape, 3))

@@ -536,6 +536,10 @@ def test_the_table_and_the_picture_are_drawn(tmp_path: Path) -> None:
     assert "null: a cause suspected" in text and len(text.splitlines()) > len(result["figures"])
     draw(rows, result, tmp_path / "made" / "confusion.png")
     assert (tmp_path / "made" / "confusion.png").read_bytes().startswith(b"\x89PNG")
+    # of a pair alone there is no row of a single cause
+    pair = [_row("pair", ["payload", "top_mount"], "unknown", "payload", 0.6)]
+    draw(pair, {**figures(pair), "cases": 1, "seeds": "dev", "commit": ["abc"]}, tmp_path / "pair.png")
+    assert (tmp_path / "pair.png").is_file()
 
 
 def _answered(out: Path, name: str, stage: str, **document: Any) -> None:
