@@ -49,10 +49,12 @@ from rich.table import Table
 from suspension_twin.calibration.request import CalibrationRequest, CalibrationResult
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.drive.read import read_drive
+from suspension_twin.errors import InputError
 from suspension_twin.inference.observation import observe
 from suspension_twin.inference.synthetic import SensorErrors
 from suspension_twin.models.parameters import twin_value
 from suspension_twin.models.simulate import simulate_twin
+from suspension_twin.report.characteristics import force
 from suspension_twin.vehicle.twin import Twin, load_twin
 
 SECTIONS = ("evaluations", "accuracy", "speed", "peers")
@@ -77,7 +79,7 @@ def evaluations(folder: Path, seeds: Sequence[int]) -> dict[str, Any]:
         judge = judged_by(asked)
         ends = judge(np.array([e.value for e in paper.estimates]))
         true = judge(np.array([float(twin_value(load_twin(case.truth), e.key)) for e in paper.estimates]))
-        fast, trace = traced(same_question(case, "fast", seed, state=str(folder / f"state{seed}")), judge)
+        fast, trace = traced(same_question(case, "fast", seed), judge)
         there = [row for row in trace if row[1] <= ends]
         rows.append(
             {
@@ -115,7 +117,7 @@ def accuracy(folder: Path, seeds: Sequence[int]) -> dict[str, Any]:
         known = load_twin(case.truth)
         own_errors, own_hits = [], []
         for e in result.estimates:
-            true = float(twin_value(known, e.key))
+            true = true_value(known, result.twin, e.key)
             hit = bool(e.low <= true <= e.high)
             point = ".force." in e.key
             hits[
@@ -170,15 +172,32 @@ def gap_on(bag: Path, twin: Twin, placed: Twin) -> float:
     return there.gap(there.condition(simulate_twin(twin, there.road_excitation))).rms
 
 
+def true_value(truth: Twin, found: Twin, key: str) -> float:
+    """The true value of a parameter found; of a force, that at the deflection or velocity of the point found, which
+    need not be a point of the truth's table. Compressions are counted from the standing car: no signal shows a shift
+    of the spring along its travel."""
+    if ".force." not in key:
+        try:
+            return float(twin_value(truth, key) or 0.0)
+        except InputError:  # a part that the file leaves out: the vehicle does not have it
+            return 0.0
+    _, axle, part, _, number = key.split(".")
+    curve, refined = (getattr(getattr(twin.vehicle, axle), part).points for twin in (truth, found))
+    at = refined[0][[int(number)]]
+    if part == "spring":
+        at = at + truth.axles[axle].static_compression - found.axles[axle].static_compression
+    return float(force(curve, at)[0])
+
+
 def force_error_along(result: CalibrationResult, truth: Twin, index: int) -> float:
     """Median relative error of a curve's force over the range that was excited."""
     curve = result.curves[index]
     _, axle, part = curve.key.split(".")
-    x, force = getattr(getattr(truth.vehicle, axle), part).points
+    points = getattr(getattr(truth.vehicle, axle), part).points
     low, high = curve.span
     grid = curve.band.x
     inside = (grid >= max(low, 1e-3)) & (grid <= high)
-    true = np.interp(grid[inside], np.concatenate([[0.0], x]), np.concatenate([[0.0], force]))
+    true = force(points, grid[inside])
     return float(np.median(np.abs(curve.force[inside] / true - 1)))
 
 

@@ -3,22 +3,19 @@
 
 from __future__ import annotations
 
-import json
 import time
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from calibration_cases import Case
 
 from suspension_twin.arrays import Floats
-from suspension_twin.calibration.request import CalibrationRequest, CalibrationResult, Progress
+from suspension_twin.calibration.request import CalibrationRequest, CalibrationResult
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.calibration.searches import costs_of, synchronised
 from suspension_twin.calibration.setup import set_up
 from suspension_twin.calibration.squares import moved
-from suspension_twin.inference.checkpoint import STATE
 from suspension_twin.inference.nuisance import NUISANCES
 from suspension_twin.inference.space import curve_keys
 from suspension_twin.vehicle.twin import load_twin
@@ -66,24 +63,17 @@ def traced(
 ) -> tuple[CalibrationResult, list[tuple[int, float, float]]]:
     """A calibration and (evaluations, cost by ``judge``, seconds) of its best after each generation.
 
-    Read from the states that it saves; judging stops the clock."""
-    space = set_up(request, lambda note: None, lambda: False).problem.space
+    Judging stops the clock."""
     trace: list[tuple[int, float, float]] = []
     began, judging = time.perf_counter(), 0.0
 
-    def look(progress: Progress | None = None) -> None:
+    def look(evaluations: int, values: Sequence[float]) -> None:
         nonlocal judging
         now = time.perf_counter()
-        try:
-            with np.load(Path(request.state) / STATE) as arrays:
-                at = int(json.loads(str(arrays["index"]))["plain"]["all_evaluations"])
-                x = arrays["x"]
-        except OSError:
-            return
-        if not trace or trace[-1][0] != at:
-            trace.append((at, judge(space.from_slopes(x[: len(space)])), now - began - judging))
+        if not trace or trace[-1][0] != evaluations:
+            trace.append((evaluations, judge(np.array(values)), now - began - judging))
         judging += time.perf_counter() - now
 
-    result = calibrate(request, look)
-    look()
+    result = calibrate(request, lambda p: look(p.evaluations, p.values) if p.values else None)
+    look(result.evaluations, [e.value for e in result.estimates])
     return result, trace

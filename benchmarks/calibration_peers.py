@@ -60,9 +60,7 @@ def peers(folder: Path, seconds: float, seed: int) -> dict[str, Any]:
 
     paper = calibrate(asked, look)
     found["paper"] = _summed(paper_trace, paper.evaluations, paper.seconds)
-    fast, trace = traced(
-        same_question(case, "fast", seed, state=str(folder / "peer_state")), judged_by(asked)
-    )
+    fast, trace = traced(same_question(case, "fast", seed), judged_by(asked))
     found["fast"] = _summed([[n, t, c] for n, c, t in trace], fast.evaluations, fast.seconds)
 
     def batch(values: np.ndarray) -> np.ndarray:

@@ -118,15 +118,16 @@ class Recorder:
         found: Found = decoded(self._kept[self._told - 1], self._arrays)
         return found
 
-    def report(self, refine: bool, best: float, mean: float, expected: float) -> None:
-        """A generation is over; ``expected`` evaluations in all."""
+    def report(self, refine: bool, values: Floats, best: float, mean: float, expected: float) -> None:
+        """A generation is over, the ``best`` cost is at ``values`` (d,); ``expected`` evaluations in all."""
         self.history.append((float(self.evaluations), best, mean, float(refine)))
         if self.generations <= self._saved:
             return  # an earlier run has reported it
         done = max(self.evaluations - self._begun, 1)
         left = (time.monotonic() - self._started) / done * max(expected - self.evaluations, 0.0)
         stage = "refine" if refine else "search"
-        self.on_progress(Progress(stage, self.generations, self.evaluations, best, mean, left))
+        found = tuple(values.tolist())
+        self.on_progress(Progress(stage, self.generations, self.evaluations, best, mean, left, values=found))
 
     def save(self, every: int = 1) -> None:
         """Write what was computed, after so many generations."""

@@ -105,7 +105,8 @@ class CalibrationRequest:
 @dataclass(frozen=True)
 class Progress:
     """Where a calibration stands: ``stage`` "reading", "search", "refine" or "writing"; costs in the
-    objective's unit, NaN while unknown; ``seconds_left`` an estimate, NaN while unknown."""
+    objective's unit, NaN while unknown; ``seconds_left`` an estimate, NaN while unknown; ``values`` of the free
+    parameters, in the order of the result's estimates, where they are best so far, empty while unknown."""
 
     stage: str
     generation: int = 0
@@ -114,6 +115,7 @@ class Progress:
     mean_cost: float = float("nan")
     seconds_left: float = float("nan")
     note: str = ""
+    values: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -75,16 +75,18 @@ def _advance(
     recorder: Recorder,
     refine: bool,
     search: GeneticSearch | PatternSearch | CmaSearch,
+    values: Callable[[Floats], Floats],
     costs: Callable[[Floats], Floats],
     expected: float,
 ) -> bool:
-    """Run a search to its end; False if it was interrupted."""
+    """Run a search over points, whose ``values`` (d, n) cost ``costs`` (n,), to its end; False if interrupted."""
     try:
         while not search.finished:
             recorder.check()
             points = search.ask()
-            search.tell(recorder.known(len(points), partial(costs, points)))
-            recorder.report(refine, search.best_point[1], search.mean_cost, expected)
+            search.tell(recorder.known(len(points), partial(lambda at: costs(values(at.T)), points)))
+            point, cost = search.best_point
+            recorder.report(refine, values(point), cost, search.mean_cost, expected)
             recorder.save(_SAVE_EVERY)
     except Interrupted:
         return False
@@ -97,8 +99,8 @@ def run_genetic(recorder: Recorder) -> SearchOutcome:
     problem, preset = setup.problem, setup.preset
     space, quiet = problem.space, np.zeros(len(problem.nuisances))
 
-    def costs(points: Floats) -> Floats:
-        return costs_of(problem, setup.objective, space.from_unit(points.T), quiet, preset.synchronise)
+    def costs(values: Floats) -> Floats:
+        return costs_of(problem, setup.objective, values, quiet, preset.synchronise)
 
     settings = preset.genetic
     if recorder.request.max_generations:
@@ -106,11 +108,11 @@ def run_genetic(recorder: Recorder) -> SearchOutcome:
     budget = settings.population + settings.generations * (settings.population - settings.elite)
     expected = float(budget + preset.pattern.evaluations)
     genetic = GeneticSearch(len(space), settings, recorder.request.seed)
-    done = _advance(recorder, False, genetic, costs, expected)
+    done = _advance(recorder, False, genetic, space.from_unit, costs, expected)
     best = genetic.best_point if genetic.best else (space.to_unit(space.nominal), np.inf)
     if done:
         pattern = PatternSearch(*best, preset.pattern)
-        done = _advance(recorder, True, pattern, costs, expected)
+        done = _advance(recorder, True, pattern, space.from_unit, costs, expected)
         best = pattern.best_point
     return _outcome(recorder, space.from_unit(best[0]), best[1], done)
 
@@ -120,13 +122,12 @@ def run_evolution(recorder: Recorder) -> SearchOutcome:
     problem = recorder.setup.problem
     space, quiet = problem.space, np.zeros(len(problem.nuisances))
 
-    def costs(points: Floats) -> Floats:
-        objective = recorder.setup.objective
-        return costs_of(problem, objective, space.from_slopes(points.T), quiet, synchronise=True)
+    def costs(values: Floats) -> Floats:
+        return costs_of(problem, recorder.setup.objective, values, quiet, synchronise=True)
 
     generations = recorder.request.max_generations or _GENERATIONS
     search = CmaSearch(space.z0, _STEP, recorder.request.seed, BATCH, generations)
-    done = _advance(recorder, False, search, costs, float(BATCH * generations))
+    done = _advance(recorder, False, search, space.from_slopes, costs, float(BATCH * generations))
     x, cost = search.best_point
     return _outcome(recorder, space.from_slopes(x), cost, done)
 

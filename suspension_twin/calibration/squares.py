@@ -138,6 +138,11 @@ class _Fit:
             if c.part == "spring" and min(c.rows) >= 0 and c.standing is None
         ]
 
+    @property
+    def values(self) -> Floats:
+        """(d,) values of the fit, in the units of the twin file."""
+        return self.base.space.from_slopes(self.x[: self.d])
+
     # -- the plan ------------------------------------------------------------------------------
 
     def plan(self) -> Iterator[_Round]:
@@ -177,7 +182,8 @@ class _Fit:
             self.x[: self.d] = starts[:, best]
         self.cost = float(costs[best])
         finite = costs[np.isfinite(costs)]
-        self.recorder.report(False, self.cost, float(finite.mean()) if finite.size else np.inf, _EXPECTED)
+        mean = float(finite.mean()) if finite.size else np.inf
+        self.recorder.report(False, self.values, self.cost, mean, _EXPECTED)
 
     # -- one round -----------------------------------------------------------------------------
 
@@ -243,7 +249,7 @@ class _Fit:
         cost = self.costs_at(solver.x) if whitened else recorder.setup.objective.cost_of_squares(solver.fit)
         if cost < self.cost or (self.balanced and planned.stage not in ("hop", "shake")):
             self.x, self.cost = solver.x, cost
-        recorder.report(whitened, self.cost, cost, _EXPECTED)
+        recorder.report(whitened, self.values, self.cost, cost, _EXPECTED)
         recorder.save()
 
     def _whitener(self, x: Floats) -> Whitener:
@@ -260,8 +266,7 @@ class _Fit:
         """The fit with one spring's curve bent so that the vehicle stands at one of its corners."""
         curve = self.springs[spring]
         rows = list(curve.rows)
-        values = self.base.space.from_slopes(self.x[: self.d])
-        twin = self.base.space.applied(self.recorder.setup.twin, values)
+        twin = self.base.space.applied(self.recorder.setup.twin, self.values)
         static = self.recorder.known(0, lambda: travel(twin, self.problem).static[curve.axle])
         if not _NEAREST_CORNER < abs(curve.x[corner] - static) < FARTHEST:
             return None

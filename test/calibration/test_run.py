@@ -280,6 +280,9 @@ def test_progress_names_its_stages_in_order(fast: Any) -> None:
     counted = [p.evaluations for p in seen if p.stage in ("search", "refine")]
     assert counted == sorted(counted) and len(counted) == result.generations == len(result.history)
     assert seen[-1].best_cost == pytest.approx(result.cost, rel=0.05)
+    last = next(p for p in reversed(seen) if p.values)
+    # After the search, values that the data do not tell from their start go back to it.
+    assert last.values == pytest.approx([e.value for e in result.estimates], rel=0.03, abs=0.06)
 
 
 def test_a_request_and_a_result_can_be_sent_to_another_process(fast: Any, rough_case: Any) -> None:

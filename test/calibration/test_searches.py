@@ -151,7 +151,7 @@ def test_a_search_that_is_told_again_what_was_computed_is_where_it_was(tmp_path:
         for _ in range(generations):
             points = search.ask()
             search.tell(recorder.known(len(points), partial(costs, points)))
-            recorder.report(False, search.best_point[1], search.mean_cost, 1e3)
+            recorder.report(False, *search.best_point, search.mean_cost, 1e3)
             recorder.save(2)
         return *search.best_point, recorder.evaluations, len(seen)
 
