@@ -99,7 +99,9 @@ def main(arguments):
     if command == "test":
         os.chdir(ROOT)
         # In the files' order: by their number of tests the few that take minutes would come last, one after the other.
-        arguments = ["pytest", "-n", "2", "--dist", "loadfile", "--no-loadscope-reorder"] + arguments[1:]
+        # A test that hangs is ended and tried by another worker, twice at most.
+        options = ["-n", "2", "--dist", "loadfile", "--no-loadscope-reorder", "--max-worker-restart", "2"]
+        arguments = ["pytest"] + options + arguments[1:]
     else:
         arguments = ["suspension_twin"] + arguments
     os.execve(PYTHON, [PYTHON, "-m"] + arguments, env)

@@ -51,7 +51,7 @@ REQUIRED = [
     "rich>=14.3",
 ]
 TEST = [
-    "pytest>=8",
+    "pytest>=9",
     "pytest-xdist>=3.7",
     "hypothesis>=6.100",
     "amqtt>=0.12",

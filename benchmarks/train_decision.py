@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Learns the decision of a diagnosis from kept evidence, and scores it on realities and effects left out.
 
-    python benchmarks/train_decision.py [--json]                # score what can be learnt from the kept evidence
+    python benchmarks/train_decision.py [--json]                # score what can be learnt from the kept evidence;
+                                                                # docs/make_docs.py tables reads it from results/
     python benchmarks/train_decision.py --write                 # and write suspension_twin/diagnosis/decision.json
     python benchmarks/train_decision.py --keep DIR...           # add answered cases of blind.py or seeded.py --out DIR
 
@@ -382,8 +383,9 @@ def main() -> None:
                     "ridge": ridge,
                     "losses": losses,
                     "discrepancy": discrepancy(lines),
-                    **figures,
-                }
+                    **{name: value for name, value in figures.items() if name != "rows"},
+                },
+                indent=1,
             )
         )
         return

@@ -6,8 +6,9 @@
     python docs/make_docs.py pictures [NAME...]
 
 ``tables`` writes the generated parts, each between its marks: commands in commands.md, nodes, topics, services,
-actions and message definitions in interfaces.md, effects in effects.md; of all these
-pages, or of those that are named: ``tables effects`` needs no ROS. A test says when one has fallen behind.
+actions and message definitions in interfaces.md, effects in effects.md, figures of kept results in
+diagnosis_figures.md; of all these pages, or of those that are named: ``tables effects`` needs no ROS. A test says when
+one has fallen behind.
 ``pictures`` draws the pictures of this folder, or those that are named (demo, effects, damping, diagnosis, plan, rig);
 all of them take some minutes.
 """
@@ -114,6 +115,7 @@ def parts() -> dict[Path, dict[str, Callable[[], str]]]:
             "definitions": definitions,
         },
         HERE / "effects.md": {"effects": effects},
+        HERE / "diagnosis_figures.md": {"figures": figures},
     }
 
 
@@ -275,6 +277,60 @@ def definitions() -> str:
             says = path.read_text(encoding="utf-8").splitlines()[0].removeprefix("# ")
             text += f"- [`{path.stem}`](../{path.relative_to(ROOT).as_posix()}): {says}\n"
     return text
+
+
+# -- figures -------------------------------------------------------------------------------------
+
+RESULTS = ROOT / "benchmarks" / "results"
+#: Columns of the figures of the diagnosis after those that were learnt: the results of each.
+ASKED = {"fresh": ("blind_report4", "blind_flexible", "blind_measured"), "latest": ("blind_report5",)}
+#: Figure, its name in train_decision.json, its names in blind_*.json, what is wanted.
+FIGURES = (
+    ("single effects of severity 1.3 and above: named for sure", "single_named", ("top1",), "95 %"),
+    ("the same, sure or suspected", "single_named_or_suspected", ("sure_or_suspected",), "97 %"),
+    ("the same, ranked first", "single_first", ("top1_ranked",), ""),
+    ("suspected wrongly, of all suspected", "suspected_wrong", ("suspected_wrong",), "15 %"),
+    ("a wrong cause named for sure, of all answers", "wrong_name", ("wrong_name",), "1.5 %"),
+    ("no effect: no gap or recalibration", "null_no_gap", ("null_no_gap",), "97 %"),
+    ("recalibration: springs and dampers in the right direction", "", ("recalibration_direction",), "95 %"),
+    ("no effect: a cause named", "null_named", ("false_alarms",), "1 %"),
+    (
+        "outside the library, or taken out: unknown",
+        "outside_unknown",
+        ("unknown_outside", "unknown_excluded"),
+        "85 to 90 %",
+    ),
+    ("pairs exact", "pair_exact", ("pairs_exact",), "80 %"),
+    ("candidate set holds a right answer", "coverage", (), "88 to 93 %"),
+    ("shrink inside its 90 % interval", "", ("shrink_in_interval",), "85 to 95 %"),
+    ("parameters inside their 90 % interval", "", ("parameter_in_interval",), "85 to 95 %"),
+)
+
+
+def figures() -> str:
+    """How often a diagnosis was right, from the kept results."""
+    learnt = json.loads((RESULTS / "train_decision.json").read_text(encoding="utf-8"))
+    asked = {
+        column: [
+            json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8"))["figures"] for name in names
+        ]
+        for column, names in ASKED.items()
+    }
+    rows = []
+    for text, own, names, wanted in FIGURES:
+        counted = [[learnt[own]] if own else []]
+        for results in asked.values():
+            some = [result[name] for result in results for name in names if name in result]
+            counted.append([(one["value"], one["n"]) for one in some if one["n"]])
+        rows.append([text, *map(_counted, counted), wanted])
+    return table(["", "learnt", *asked, "wanted"], rows)
+
+
+def _counted(shares: list[Any]) -> str:
+    """``k of n (p %)`` of shares and what each is a share of."""
+    n = sum(n for _, n in shares)
+    k = sum(round(share * n) for share, n in shares)
+    return f"{k} of {n} ({100 * k / n:.{0 if 5 * k > n else 1}f} %)" if n else ""
 
 
 # -- effects -------------------------------------------------------------------------------------

@@ -192,6 +192,7 @@ def figures(rows: Sequence[Row]) -> dict[str, Any]:
     put("stretch_top1", _share(kinds["stretch"], _top1))
     put("stretch_unknown", _share(kinds["stretch"], lambda r: r["verdict"] == "unknown"))
     put("stretch_there", _share(kinds["stretch"], lambda r: r.get("there", [])[:1] == r["truth"]))
+    put("wrong_name", _share(rows, lambda r: r["verdict"] in _NAMED and not {*r["named"]} & {*r["truth"]}))
     put("sure_and_wrong", _share(rows, sure_and_wrong), "<= 0.02")
     put("shrink_error_median", (_quantile(errors, 0.5), len(errors)), "<= 3 points")
     put("shrink_error_p95", (_quantile(errors, 0.95), len(errors)), "<= 8 points")
@@ -203,6 +204,18 @@ def figures(rows: Sequence[Row]) -> dict[str, Any]:
     off = [abs(v / truth - 1.0) for truth, v, _, _ in told if truth]
     put("parameter_error_median", (_quantile(off, 0.5), len(off)))
     put("parameter_in_interval", (_mean([low <= truth <= high for truth, _, low, high in told]), len(told)))
+    off_by = [v for r in rows for v in r.get("values", {}).values()]
+    put(
+        "recalibration_direction",
+        (_mean([true * told > 0 for true, told, _, _ in off_by]), len(off_by)),
+        ">= 0.95",
+    )
+    errors = [100 * abs(true - told) for true, told, _, _ in off_by]
+    put("recalibration_error_median", (_quantile(errors, 0.5), len(off_by)))
+    put(
+        "recalibration_in_interval",
+        (_mean([low <= true <= high for true, _, low, high in off_by]), len(off_by)),
+    )
     put("road_m_median", (_quantile(located["road_m"], 0.5), len(located["road_m"])), "<= 1 m")
     put("time_s_median", (_quantile(located["time_s"], 0.5), len(located["time_s"])))
     put("octaves_median", (_quantile(located["octaves"], 0.5), len(located["octaves"])), "<= 1/6")

@@ -14,6 +14,7 @@ import numpy as np
 from blind import ROOT, ask, baselines, measured, picture, seal
 from blind.plan import Spec
 from blind.score import Row, figures, row_of
+from blind.values import told_values
 
 RESULTS = ROOT / "benchmarks" / "results"
 _TITLES = {
@@ -38,6 +39,10 @@ _TITLES = {
     "stretch_top1": "on one stretch only: top-1",
     "stretch_unknown": "the same: unknown",
     "stretch_there": "the same: what it is like there is what it is",
+    "recalibration_direction": "recalibration: springs and dampers in the right direction",
+    "recalibration_error_median": "the same, change off by, median (points)",
+    "recalibration_in_interval": "the same, in their 90 % interval",
+    "wrong_name": "a wrong cause named for sure",
     "sure_and_wrong": "probability above 0.9 and wrong",
     "shrink_error_median": "shrink, predicted to measured, median (points)",
     "shrink_error_p95": "the same, 95th percentile",
@@ -94,6 +99,7 @@ def gather(cases: list[Spec], out: Path, tell: Callable[[str], None]) -> list[Ro
             continue
         case, sealed = out / "cases" / spec.name, out / "sealed" / spec.name / "sealed"
         rows.append(row_of(labels[spec.name], answer, lambda c=case, a=answer, s=sealed: _further(c, a, s)))  # type: ignore[misc]
+        rows[-1]["values"] = told_values(labels[spec.name], case, answer)
     tell(f"{len(rows)} of {len(cases)} cases have an answer")
     return rows
 

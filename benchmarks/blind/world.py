@@ -179,6 +179,11 @@ def _car(rng: np.random.Generator) -> Car:
     )
 
 
+def car_of(seed: int) -> Car:
+    """The car of a world."""
+    return _car(np.random.default_rng([seed, 1]))
+
+
 def _known(car: Car, rng: np.random.Generator, right: bool) -> dict[str, Any]:
     """What a careful user writes; ``right`` gives the true characteristics instead of a preset."""
 

@@ -489,6 +489,7 @@ def test_the_figures_count_what_they_say() -> None:
     assert found["unknown_outside"] == 1.0
     assert found["pairs_exact"] == 0.0 and found["pairs_no_wrong"] == 1.0
     assert found["sure_and_wrong"] == pytest.approx(1 / 7)
+    assert found["wrong_name"] == pytest.approx(2 / 7)
     assert found["shrink_error_median"] == pytest.approx(3.0)
     assert found["unknown_excluded"] is None
     assert found["parameter_error_median"] == pytest.approx(0.125) and found["parameter_in_interval"] == 0.5
@@ -518,6 +519,56 @@ def test_parameters_are_compared_where_label_and_answer_mean_the_same() -> None:
         "corner_spring.change": [-0.3, -0.25, -0.4, -0.1],
         "position_offset.offset": [0.2, 0.19, 0.1, 0.3],
     }
+
+
+def test_values_that_moved_are_compared_with_the_true_car(tmp_path: Path) -> None:
+    """Dampers over the velocities that the answer's own force shows, a worn axle by what it has left."""
+    from blind.values import told_values
+    from blind.world import DAMPER_N, DAMPER_REACH, SPRING_N, SPRING_REACH, G, car_of
+
+    car, reached = car_of(7), 0.31
+    at = np.linspace(0.0, reached, 9)[1:]
+    grid = np.linspace(0.0, DAMPER_REACH, DAMPER_N + 1)
+    true = [0.6 * float(np.mean(np.interp(at, grid, f))) for f in (car.rear.push, car.rear.pull)]
+    pushes, pulls = 2000.0, 4000.0
+    given = [float(np.mean(slope * at)) for slope in (pushes, pulls)]
+    x, v = [0.1, 0.3, 0.5, 1.0], [0.125, 0.25, 0.35, 0.4]
+    axle = {
+        "spring": {"compression": x, "force": [25e3 * a for a in x]},
+        "damper_push": {"velocity": v, "force": [pushes * a for a in v]},
+        "damper_pull": {"velocity": v, "force": [pulls * a for a in v]},
+    }
+    (tmp_path / "twin.yaml").write_text(json.dumps({"vehicle": {"front": axle, "rear": axle}}))
+    change = sum(true) / sum(given) - 1.0
+    both = [f"vehicle.rear.damper_{way}.force" for way in ("pull", "push")]
+    told = (
+        ("rear damper, both ways", both, 0.5 * sum(given), 0.6),
+        ("rear spring rate", ["vehicle.rear.spring.force"], 25e3, 0.3),
+        ("front spring rate", ["vehicle.front.spring.force"], 25e3, 0.05),
+        ("sprung inertia pitch", ["vehicle.sprung_inertia.pitch"], 2000.0, 0.2),
+    )
+    rows = [
+        {
+            "characteristic": name,
+            "keys": keys,
+            "before": before,
+            "share": share,
+            "change": change,
+            "interval": [change - 0.1, change + 0.1],
+        }
+        for name, keys, before, share in told
+    ]
+    (tmp_path / "diagnosis.json").write_text(json.dumps({"verdict": "recalibration", "recalibrated": rows}))
+    label = {"reality": "newton", "world": 7, "faults": {"worn_dampers": {"front": 0.9, "rear": 0.4}}}
+    found = told_values(label, tmp_path, tmp_path)
+    assert set(found) == {"rear damper, both ways", "rear spring rate"}
+    assert found["rear damper, both ways"] == pytest.approx([change, change, change - 0.1, change + 0.1])
+    load = float(np.mean(car.loads()[2:])) - G * car.rear.unsprung
+    fine = np.linspace(0.0, SPRING_REACH, SPRING_N + 1)
+    standing = np.interp(load, car.rear.spring, fine)
+    low, high = np.interp([standing - 0.02, standing + 0.02], fine, car.rear.spring)
+    assert found["rear spring rate"][0] == pytest.approx((high - low) / 0.04 / 25e3 - 1.0)
+    assert told_values({**label, "reality": "measured"}, tmp_path, tmp_path) == {}
 
 
 def test_the_table_and_the_picture_are_drawn(tmp_path: Path) -> None:

@@ -73,6 +73,8 @@ def workspace(tmp_path_factory):
     folder = tmp_path_factory.mktemp("readme")
     for name in ("bags", "config", "suspension_twin_interfaces"):
         (folder / name).symlink_to(ROOT / name)
+    (folder / "benchmarks").mkdir()
+    (folder / "benchmarks" / "results").symlink_to(ROOT / "benchmarks" / "results")
     shutil.copytree(ROOT / "docs", folder / "docs")
     shutil.copy(README, folder)
     (folder / "recording.zip").write_bytes(phone_recording())

@@ -508,7 +508,8 @@ def test_a_clone_that_cannot_be_written_to_is_named(
     assert str(clone) in refusal(bootstrap, ["demo"], capsys)
 
 
-_PYTEST = ["pytest", "-n", "2", "--dist", "loadfile", "--no-loadscope-reorder"]
+_OPTIONS = ["-n", "2", "--dist", "loadfile", "--no-loadscope-reorder", "--max-worker-restart", "2"]
+_PYTEST = ["pytest", *_OPTIONS]
 
 
 @pytest.mark.parametrize(
