@@ -9,6 +9,7 @@ import shutil
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from datetime import date
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,6 +17,8 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+#: Of the tests that take about a minute each, so many are run by --long.
+LONGEST_A_DAY = 3
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 
@@ -53,14 +56,18 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Without --long those marked so are left out, and those marked longest always, unless a test or a file was asked
-    for by its name."""
+    """Without --long those marked so are left out. Of those marked longest a few have their turn with it, others each
+    day. A test or a file that is asked for by its name is run."""
     if any(argument.partition("::")[0].endswith(".py") for argument in config.args):
         return
-    for mark in ("longest",) if config.getoption("--long") else ("long", "longest"):
-        left_out = [item for item in items if item.get_closest_marker(mark)]
-        items[:] = [item for item in items if not item.get_closest_marker(mark)]
-        config.hook.pytest_deselected(items=left_out)
+    longest = [item for item in items if item.get_closest_marker("longest")]
+    first = LONGEST_A_DAY * date.today().toordinal()
+    turns = [longest[(first + k) % len(longest)] for k in range(LONGEST_A_DAY if longest else 0)]
+    left_out = [item for item in longest if item not in turns or not config.getoption("--long")]
+    if not config.getoption("--long"):
+        left_out += [item for item in items if item.get_closest_marker("long") and item not in longest]
+    items[:] = [item for item in items if item not in left_out]
+    config.hook.pytest_deselected(items=left_out)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

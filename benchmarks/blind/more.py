@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One drive more: of every case that was answered ``suspected`` or ``unknown`` the reality drives what was proposed.
+"""What settles an answer: a drive more, and the drive on which the twin was calibrated.
+
+Of every case that was answered ``suspected`` or ``unknown`` the reality drives what was proposed.
 
 The drive goes over the road of the case at the proposed speed, on a lane beside the others', with the same fault. The
 case is then diagnosed anew with it, as ``diagnose --add`` does. What was proposed over another road is not driven.
+
+Every case whose twin was calibrated beforehand is diagnosed anew with the drive of that calibration as a reference.
 """
 
 from __future__ import annotations
@@ -19,13 +23,14 @@ from blind import ask, phone, seal
 from blind.faults import OF_THE_CLOCK, without_road
 from blind.folder import RUN, base_faults
 from blind.plan import MEASURED, Spec
+from blind.score import figures as every, row_of
 from blind.world import Plan, drive_plan, make_world
 from suspension_twin.drive.write import write_drive
 
 OPEN = ("suspected", "unknown")
 _SURE = ("effect", "partly")
 _SOUND = ("no_gap", "recalibration")
-NAME = "drive_more"
+NAME, REFERENCE = "drive_more", "reference"
 
 
 def proposed(answer: Path) -> dict[str, Any] | None:
@@ -68,6 +73,67 @@ def settle(cases: list[Spec], out: Path, tell: Callable[[str], None]) -> None:
         tell(
             f"{spec.name} once more at {drive['speed_kmh']:g} km/h {record['seconds']:.0f} s {record['error']}"
         )
+
+
+def refer(cases: list[Spec], out: Path, tell: Callable[[str], None]) -> None:
+    """Diagnose the calibrated twins again with the drive of their calibration; what is there stays."""
+    known, digest = seal.labels(out), seal.sealed(out)
+    for spec in cases:
+        drive = out / "sealed" / spec.name / REFERENCE
+        if not spec.calibrated or spec.name not in known or not drive.is_dir():
+            continue
+        folder = out / "referred" / spec.name
+        if not (folder / REFERENCE).is_dir():
+            shutil.rmtree(folder, ignore_errors=True)
+            shutil.copytree(out / "cases" / spec.name, folder)
+            shutil.copytree(drive, folder / REFERENCE)
+        record = ask.ask(folder, out / "answers_referred" / spec.name, digest)
+        tell(f"{spec.name} with its reference {record['seconds']:.0f} s {record['error']}")
+
+
+def compared(cases: Iterable[Spec], out: Path) -> dict[str, Any]:
+    """Figures of the calibrated twins alone and with the drive of their calibration, and what was said of each case."""
+    labels = seal.labels(out)
+    ways = {"calibrated": "answers", "with its reference": "answers_referred"}
+    both = [
+        [row_of(labels[spec.name], out / folder / spec.name, lambda: None) for folder in ways.values()]
+        for spec in cases
+        if spec.name in labels and (out / "answers_referred" / spec.name / "record.json").is_file()
+    ]
+    return {
+        "cases": len(both),
+        "figures": {name: every([pair[k] for pair in both])["figures"] for k, name in enumerate(ways)},
+        "rows": [
+            {
+                "case": pair[0]["case"],
+                "truth": pair[0]["truth"],
+                "severity": pair[0]["severity"],
+                **{
+                    name: [
+                        row["verdict"],
+                        row["top"],
+                        *(round(row["chances"].get(t, 0.0), 3) for t in row["truth"]),
+                    ]
+                    for name, row in zip(ways, pair, strict=True)
+                },
+            }
+            for pair in both
+        ],
+    }
+
+
+def compared_text(result: dict[str, Any]) -> str:
+    """The table for people."""
+    names = list(result["figures"])
+    lines = [f"{result['cases']} calibrated twins{'':<13s}" + "".join(f"{n:>20s}" for n in names)]
+    for key in ("top1", "sure_or_suspected", "top1_ranked", "wrong_name", "null_no_gap"):
+        values = [f[key] for f in result["figures"].values()]
+        said = ["" if v["value"] is None else f"{v['value']:.2f} of {v['n']}" for v in values]
+        lines.append(f"  {key:<32s}" + "".join(f"{s:>20s}" for s in said))
+    for row in result["rows"]:
+        told = "  ->  ".join(" ".join(map(str, row[name])) for name in names)
+        lines.append(f"  {' + '.join(row['truth']) or 'null':<24s} {told}")
+    return "\n".join(lines)
 
 
 def figures(cases: Iterable[Spec], out: Path) -> dict[str, Any]:

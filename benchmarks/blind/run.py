@@ -5,6 +5,7 @@
     python benchmarks/blind.py --seeds train --case N                 # one case of the plan, by its number
     python benchmarks/blind.py --stage generate|diagnose|score ...    # one stage alone
     python benchmarks/blind.py --stage more ...    # open cases once more, with the drive that was proposed for each
+    python benchmarks/blind.py --stage reference ... # calibrated twins once more, with the drive of their calibration
     python benchmarks/blind.py --stage ceiling ... # single causes with the package's own model as the reality
     python benchmarks/blind.py ... --keep [--add]                     # answers kept, with --add beside those before
     python benchmarks/blind.py --reality measured [--limit N]         # recordings of real cars with faults put in
@@ -138,7 +139,9 @@ def parsed() -> argparse.Namespace:
         "--seeds", choices=get_args(Seeds), help="dev, or measured_dev for --reality measured"
     )
     parser.add_argument(
-        "--stage", choices=("generate", "diagnose", "score", "more", "ceiling", "all"), default="all"
+        "--stage",
+        choices=("generate", "diagnose", "score", "more", "reference", "ceiling", "all"),
+        default="all",
     )
     parser.add_argument(
         "--only", nargs="+", default=[], metavar="EFFECT", help="effects, kinds or names of cases"
@@ -196,6 +199,12 @@ def main() -> None:
         more.settle(cases, options.out, tell)
         result = more.figures(cases, options.out)
         print(json.dumps(result) if options.json else more.text_of(result))
+    if options.stage == "reference":
+        from blind import more
+
+        more.refer(cases, options.out, tell)
+        result = more.compared(cases, options.out)
+        print(json.dumps(result) if options.json else more.compared_text(result))
     if options.stage == "ceiling":
         from blind import ceiling
 

@@ -40,6 +40,13 @@ from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["conclude"]
 
+#: Verdicts that a reference may settle, and what is said of a twin that was calibrated and has none.
+_OPEN = ("suspected", "unknown", "recalibration")
+_OWN_REFERENCE = (
+    "Diagnose again with --reference and a drive on which the twin was calibrated, if nothing was wrong then: it shows "
+    "how well the model follows the sound vehicle."
+)
+
 
 def conclude(
     request: DiagnosisRequest, case: Case, judged: Judged, seconds: float, foreign: bool = False
@@ -76,7 +83,10 @@ def conclude(
         }
         if section is not None:
             document["signature"]["stretch"] = section
-    document["next_experiment"], drive = _next(case, judged, decision, document, section)
+    text, drive = _next(case, judged, decision, document, section)
+    if document["verdict"] in _OPEN and all(case.active) and case.twin.uncertainty:
+        text = f"{_OWN_REFERENCE} {text}"
+    document["next_experiment"] = text
     if drive:
         document["next_drive"] = drive
     document["warnings"] = list(case.warnings)

@@ -649,6 +649,74 @@ def test_what_was_proposed_over_the_road_of_the_case_is_driven_and_scored(
     assert "3 settled rightly, 1 named wrongly" in more.text_of(found)
 
 
+def test_calibrated_twins_are_asked_again_with_the_drive_of_their_calibration(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from blind import ask, more, plan, seal
+
+    spec = next(c for c in plan.plan("report5") if c.kind == "single" and c.calibrated)
+    seen: list[list[str]] = []
+
+    def asked(folder: Path, answer: Path, digest: str) -> dict[str, Any]:
+        seen.append(sorted(p.name for p in folder.iterdir()))
+        sure = answer.parent.name == "answers_referred"
+        cause = {
+            "effect": spec.effects[0],
+            "presence": 0.9,
+            "indistinguishable_from": [],
+            "probability": 0.9 - 0.5 * (not sure),
+        }
+        document = {
+            "verdict": "effect" if sure else "unknown",
+            "causes": [cause],
+            "combination": list(spec.effects) if sure else [],
+            "no_gap_probability": 0.05,
+            "unknown_probability": 0.05,
+            "unexplained": 0.4,
+            "shrink_interval": [0.5, 0.7],
+        }
+        record = {
+            "seconds": 1.0,
+            "cpu_seconds": 1.0,
+            "memory_mb": 1.0,
+            "commit": "c",
+            "error": "",
+            "status": 0,
+        }
+        answer.mkdir(parents=True)
+        (answer / "diagnosis.json").write_text(json.dumps(document), encoding="utf-8")
+        (answer / "record.json").write_text(json.dumps(record), encoding="utf-8")
+        return record
+
+    label = {
+        "name": spec.name,
+        "kind": "single",
+        "reality": spec.reality,
+        "effects": list(spec.effects),
+        "faults": {},
+        "reached": {spec.effects[0]: {"severity": 3.0}},
+        "severity": 3.0,
+        "reference": False,
+        "right": False,
+        "stretch": None,
+        "frequency": [],
+        "drives": {},
+    }
+    monkeypatch.setattr(ask, "ask", asked)
+    monkeypatch.setattr(seal, "labels", lambda out: {spec.name: label})
+    monkeypatch.setattr(seal, "sealed", lambda out: "")
+    for folder in ("cases", "sealed"):
+        (tmp_path / folder / spec.name / ("drive_fast" if folder == "cases" else "reference")).mkdir(
+            parents=True
+        )
+    asked(tmp_path / "cases" / spec.name, tmp_path / "answers" / spec.name, "")
+    more.refer([spec, replace(spec, name="other", calibrated=False)], tmp_path, lambda text: None)
+    assert seen == [["drive_fast"], ["drive_fast", "reference"]]
+    found = more.compared([spec], tmp_path)
+    assert [f["top1"]["value"] for f in found["figures"].values()] == [0.0, 1.0]
+    assert "unknown" in more.compared_text(found) and "1.00 of 1" in more.compared_text(found)
+
+
 def test_a_drive_of_the_own_model_leaves_as_much_but_not_the_same(repository: Path) -> None:
     from blind.ceiling import remade
 

@@ -133,6 +133,9 @@ def test_wrong_characteristics_alone_are_recalibrated_and_twice_the_same(
     assert own is first["recalibrated"][0] and own["interval"][0] <= truth <= own["interval"][1]
     assert own["change"] == pytest.approx(truth, abs=0.1) and own["share"] > 0.5
     assert "front damper, push" in first["message"]
+    assert first["next_experiment"].startswith(
+        "Diagnose again with --reference and a drive on which the twin was"
+    )
     assert [one["stated"] for one in first["recalibrated"]] == [one is own for one in first["recalibrated"]]
     write(result, tmp_path)
     assert load_twin(tmp_path / "twin.yaml").uncertainty is None  # of values that are replaced
@@ -153,6 +156,7 @@ def test_one_bump_recalibrates_the_twin_that_never_was_calibrated(repository: Pa
     assert result.document["recalibration"]["shrink_interval"][0] > 0.5
     moved = {one["characteristic"] for one in result.document["recalibrated"]}
     assert {"front damper, both ways", "rear damper, both ways"} <= moved
+    assert "--reference" not in result.document["next_experiment"]
     assert "twin recalibrated" in diagnosis_page(result).render()
 
 
