@@ -225,6 +225,12 @@ class JointPrior:
             precision[np.ix_(slow, slow)] = np.linalg.inv(nuisances.covariance[np.ix_(slow - d, slow - d)])
         return cls(precision, np.concatenate([space.z0, np.zeros(q)]))
 
+    def knowing(self, information: Floats) -> JointPrior:
+        """With ``information`` (d, d) on the vehicle's coordinates beside it."""
+        precision, d = self.precision.copy(), information.shape[0]
+        precision[:d, :d] += information
+        return JointPrior(precision, self.centre)
+
 
 @dataclass(frozen=True)
 class Simulation:

@@ -298,6 +298,22 @@ class Space:
                     )
         return np.asarray(covariance)
 
+    def stated_precision(self, twin: Twin, times: float) -> Floats:
+        """(d, d) information on the slope coordinates in what the twin file states of its values (``uncertainty``), if
+        those lie ``times`` the stated deviations from the true ones.
+
+        Points of a characteristic share their errors: n of them count as one value.
+        """
+        sigma = np.array([twin.deviation(key) for key in self.keys])
+        points = np.ones(sigma.size)
+        for curve in self.curves:
+            points[[r for r in curve.rows if r >= 0]] = len(curve.rows)
+        known, step = sigma > 0.0, float(np.cbrt(np.finfo(np.float64).eps))
+        far = self.z0[:, None] + step * np.hstack([np.eye(len(self)), -np.eye(len(self))])
+        ahead, behind = np.hsplit(self.from_slopes(far)[known], 2)
+        slopes = (ahead - behind) / (2.0 * step * times * np.sqrt(points[known]) * sigma[known])[:, None]
+        return np.asarray(slopes.T @ slopes)
+
     def on_bound(self, values: Floats, share: float = 1e-3) -> np.ndarray[Any, np.dtype[np.bool_]]:
         """(d,) True where a value lies within ``share`` of the bounds' distance from one."""
         u = self.to_unit(values)

@@ -364,3 +364,20 @@ def test_bounds_are_given_for_a_key_or_for_its_whole_curve() -> None:
     assert bounds_of(bounds, f"{SPRING}.force.11") == (1.0, 2.0)
     assert bounds_of(bounds, "vehicle.mass") == (5.0, 6.0)
     assert bounds_of(bounds, "vehicle.rear.spring.force.0") is bounds_of(bounds, "vehicle.cog.1") is None
+
+
+def test_what_a_file_states_of_its_values_is_information_on_them(mondeo: Twin) -> None:
+    """Of a number its own; a characteristic's points have one error in common: all stiffer by a tenth is as far off as
+    one of them that is."""
+    force = np.array(mondeo.vehicle.rear.spring.force)
+    stated = {"vehicle.mass": 12.0, "vehicle.rear.spring.force": tuple((0.1 * force).tolist())}
+    twin = mondeo.with_changes({"uncertainty": stated})
+    keys = ("vehicle.mass", "vehicle.wheelbase", *curve_keys(twin, ["vehicle.rear.spring"]))
+    space = wide_space(twin, keys)
+    information = space.stated_precision(twin, 2.0)
+    assert information[0, 0] == pytest.approx((twin.vehicle.mass / (2.0 * 12.0)) ** 2)
+    assert not information[1].any() and not information[0, 1:].any()
+    stiffer = np.zeros(len(space))
+    stiffer[2:] = 0.1
+    assert stiffer @ information @ stiffer == pytest.approx((1.0 / 2.0) ** 2, rel=1e-6)
+    assert not wide_space(mondeo, keys).stated_precision(mondeo, 2.0).any()
