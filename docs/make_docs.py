@@ -327,10 +327,10 @@ def figures() -> str:
 
 
 def _counted(shares: list[Any]) -> str:
-    """``k of n (p %)`` of shares and what each is a share of."""
+    """``p % (k/n)`` of shares and what each is a share of."""
     n = sum(n for _, n in shares)
     k = sum(round(share * n) for share, n in shares)
-    return f"{k} of {n} ({100 * k / n:.{0 if 5 * k > n else 1}f} %)" if n else ""
+    return f"{100 * k / n:.{0 if 5 * k > n else 1}f} % ({k}/{n})" if n else ""
 
 
 # -- effects -------------------------------------------------------------------------------------
