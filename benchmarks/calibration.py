@@ -107,7 +107,8 @@ def accuracy(folder: Path, seeds: Sequence[int]) -> dict[str, Any]:
     """``fast`` from a preset 30 % off on two drives, checked on a third and against the truth."""
     rows: list[dict[str, Any]] = []
     errors: list[float] = []
-    hits: dict[str, list[bool]] = {"identified points": [], "other points": [], "other parameters": []}
+    # A true spring has corners that the points found, lines between them, cannot have.
+    hits: dict[str, list[bool]] = {"dampers": [], "springs": [], "other parameters": []}
     for seed in seeds:
         truth, start = thirty_per_cent_off(seed)
         knots = {"slow": SLOW, "brisk": BRISK, "unseen": UNSEEN}
@@ -120,13 +121,9 @@ def accuracy(folder: Path, seeds: Sequence[int]) -> dict[str, Any]:
             true = true_value(known, result.twin, e.key)
             hit = bool(e.low <= true <= e.high)
             point = ".force." in e.key
-            hits[
-                "other parameters"
-                if not point
-                else "identified points"
-                if e.status == "identified"
-                else "other points"
-            ].append(hit)
+            hits["other parameters" if not point else "springs" if ".spring." in e.key else "dampers"].append(
+                hit
+            )
             if e.status == "identified" and point:
                 own_errors.append(abs(e.value / true - 1))
                 own_hits.append(hit)
