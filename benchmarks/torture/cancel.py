@@ -25,6 +25,10 @@ __all__ = ["BAR", "torture"]
 
 BAR = "answered within the stated patience; nothing left running"
 
+#: What the command ``calibrator`` runs.
+_PROGRAM = (
+    "from suspension_twin.nodes.calibrator import CalibratorNode; raise SystemExit(CalibratorNode.main())"
+)
 _PATIENCE = 3.0  # s, the node's parameter
 _GRACE = 3.0  # s more for messages and a busy machine
 _KINDS = ("cancel", "cancel", "cancel", "two goals", "client gone", "node ends", "node killed")
@@ -88,7 +92,7 @@ class _Bench:
         self.executor.add_node(self.node)
         self.process = subprocess.Popen(
             [
-                *(sys.executable, "-m", "suspension_twin.nodes.calibrator", "--ros-args"),
+                *(sys.executable, "-c", _PROGRAM, "--ros-args"),
                 *("-p", f"cancel_patience:={_PATIENCE}", "-p", "threads:=1"),
             ],
             stdout=subprocess.DEVNULL,
@@ -99,7 +103,7 @@ class _Bench:
         until = time.monotonic() + 300
         while not self.client.server_is_ready():
             self.executor.spin_once(timeout_sec=0.1)
-            if time.monotonic() > until:
+            if time.monotonic() > until or self.process.poll() is not None:
                 raise RuntimeError("the calibrator does not listen")
 
     def until(self, future: Any, seconds: float) -> Any:
