@@ -24,7 +24,7 @@ _GROWTH = 5.0  # MiB
 #: Twins for each core, at 100 Hz each, fifty at most; MiB of memory that each needs.
 _EACH_CORE, _MOST, _NEEDS = 4, 50, 700.0
 #: Share of the time that a twin waits for the processor from which on a loss is the machine's.
-_STARVED = 0.2
+_STARVED = 0.1
 
 
 def _free() -> float:
