@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether the intervals of a calibration hold the true characteristics of cars that other code simulates.
 
-    python benchmarks/intervals.py [--cars N] [--first SEED] [--reality NAME ...] [--exact-road] [--json]
+    python benchmarks/intervals.py [--cars N] [--first SEED] [--reality NAME ...] [--exact-road] [--apart] [--json]
 
 Cars without a fault by the realities of ``blind/``, which share nothing with the package's models, on their usual road
 and over a single hump. A twin file with preset characteristics is calibrated as documented. Of every characteristic
 this prints which share of the excited range the 90 % interval holds the truth on, and by how much the curve is off, as
 the rms over the range. Springs are compared from where they bear the twin's load: their travel at rest shows in no
 signal. Forces count for the mass of the twin file, which is up to a per cent off.
+
+``--apart`` calibrates on each of the two drives of the usual road alone, and prints the difference of the points found
+over the deviation that the intervals state of it, as the rms: 1 where they are right from drive to drive.
 
 ``--exact-road`` takes the heights of the road file without the survey's noise of 0.3 mm. Seeds that a method was made
 on are below 71 000 000.
@@ -44,6 +47,7 @@ from rich.table import Table
 
 from suspension_twin.api import calibrate
 from suspension_twin.calibration.request import CurveEstimate
+from suspension_twin.calibration.uncertainty import HALF_WIDTH
 from suspension_twin.drive.write import write_drive
 from suspension_twin.road import write_road
 from suspension_twin.vehicle.twin import load_twin, parse_twin, save_twin
@@ -110,6 +114,34 @@ def rows_of(reality: str, seed: int, scene: Scene, exact: bool) -> Iterator[dict
         }
 
 
+def apart(reality: str, seed: int, exact: bool) -> Iterator[dict[str, Any]]:
+    """A row for each point of a characteristic: what two drives found of it differs by so many stated deviations."""
+    with tempfile.TemporaryDirectory() as folder:
+        case = Path(folder) / "case"
+        write_car(case, reality, make_world(seed), "usual", exact)
+        twin = load_twin(case / "twin.yaml")
+        found = [calibrate(twin, [str(case / name)]) for name in DRIVES["usual"]]
+    for one, other in zip(*(result.estimates for result in found), strict=True):
+        sigma = float(np.hypot(one.high - one.low, other.high - other.low)) / (2.0 * HALF_WIDTH)
+        if ".force." in one.key and one.key == other.key and 0.0 < sigma < np.inf:
+            yield {"reality": reality, "seed": seed, "key": one.key, "z": (one.value - other.value) / sigma}
+
+
+def show_apart(rows: list[dict[str, Any]], console: Console) -> None:
+    """The table of ``--apart``."""
+    table = Table(
+        title="Points found on either drive of a sound car: difference over its stated deviation, rms"
+    )
+    for title in ("reality", "characteristic", "points", "rms"):
+        table.add_column(title)
+    for reality in sorted({row["reality"] for row in rows}):
+        for part in ("spring", "damper_push", "damper_pull"):
+            own = [r["z"] for r in rows if r["reality"] == reality and f".{part}." in r["key"]]
+            rms = f"{np.sqrt(np.mean(np.square(own))):.2f}" if own else ""
+            table.add_row(reality, part.replace("_", " "), str(len(own)), rms)
+    console.print(table)
+
+
 def main() -> None:
     """Parse the command line and print the table, or JSON."""
     parser = argparse.ArgumentParser(
@@ -119,8 +151,16 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=71_000_000, help="seed of the first car")
     parser.add_argument("--reality", nargs="+", choices=sorted(RUN), default=["newton", "multibody"])
     parser.add_argument("--exact-road", action="store_true", help="road heights without a survey's noise")
+    parser.add_argument("--apart", action="store_true", help="on each of two drives alone")
     parser.add_argument("--json", action="store_true")
     given = parse_options(parser, cars=1, reality=["newton"])
+    if given.apart:
+        seeds = range(given.first, given.first + given.cars)
+        rows = [row for r in given.reality for seed in seeds for row in apart(r, seed, given.exact_road)]
+        show_apart(rows, Console(stderr=given.json))
+        if given.json:
+            print(json.dumps({"rows": rows}))
+        return
     scenes: tuple[Scene, ...] = ("bump",) if given.smoke else ("usual", "bump")
     rows = [
         row

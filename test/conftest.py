@@ -61,13 +61,14 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if any(argument.partition("::")[0].endswith(".py") for argument in config.args):
         return
     longest = [item for item in items if item.get_closest_marker("longest")]
-    first = LONGEST_A_DAY * date.today().toordinal()
-    turns = [longest[(first + k) % len(longest)] for k in range(LONGEST_A_DAY if longest else 0)]
-    left_out = [item for item in longest if item not in turns or not config.getoption("--long")]
-    if not config.getoption("--long"):
-        left_out += [item for item in items if item.get_closest_marker("long") and item not in longest]
+    if config.getoption("--long"):
+        first = LONGEST_A_DAY * date.today().toordinal()
+        turns = {(first + k) % len(longest) for k in range(LONGEST_A_DAY)} if longest else set()
+        left_out = {item for k, item in enumerate(longest) if k not in turns}
+    else:
+        left_out = {*longest, *(item for item in items if item.get_closest_marker("long"))}
+    config.hook.pytest_deselected(items=[item for item in items if item in left_out])
     items[:] = [item for item in items if item not in left_out]
-    config.hook.pytest_deselected(items=left_out)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

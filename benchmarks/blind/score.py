@@ -210,8 +210,8 @@ def figures(rows: Sequence[Row]) -> dict[str, Any]:
         (_mean([true * told > 0 for true, told, _, _ in off_by]), len(off_by)),
         ">= 0.95",
     )
-    errors = [100 * abs(true - told) for true, told, _, _ in off_by]
-    put("recalibration_error_median", (_quantile(errors, 0.5), len(off_by)))
+    points = [100 * abs(true - told) for true, told, _, _ in off_by]
+    put("recalibration_error_median", (_quantile(points, 0.5), len(off_by)))
     put(
         "recalibration_in_interval",
         (_mean([low <= true <= high for true, _, low, high in off_by]), len(off_by)),

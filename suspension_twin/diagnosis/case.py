@@ -66,8 +66,8 @@ _PLANAR_ONLY = ObserveSettings(filter=FilterSpec(2, 1.6), satellites=True, satur
 _ON_ROAD = ObserveSettings(saturated=True)
 #: Error of a change that a model predicts, over its error about the sound vehicle at the same sample: a prior.
 _DOUBT = 0.5
-#: Stated deviations by which values found anew on another drive of a sound car differ (prior; measured: rms 0.6 to 1.9
-#: of springs and dampers in four simulations that share no code with the models).
+#: Stated deviations by which values found anew on another drive of a sound car differ, with something to spare (prior;
+#: rms 0.5 to 1.3 of springs and dampers by code that is not the models': ``benchmarks/intervals.py --apart``).
 _STATED = 1.5
 #: Seconds of compared driving below which nothing can be held out from the fit: two blocks of time.
 SHORTEST = 8.0

@@ -229,7 +229,7 @@ class JointPrior:
         """With ``information`` (d, d) on the vehicle's coordinates beside it."""
         precision, d = self.precision.copy(), information.shape[0]
         precision[:d, :d] += information
-        return JointPrior(precision, self.centre)
+        return replace(self, precision=precision)
 
 
 @dataclass(frozen=True)

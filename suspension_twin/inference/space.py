@@ -311,7 +311,11 @@ class Space:
         known, step = sigma > 0.0, float(np.cbrt(np.finfo(np.float64).eps))
         far = self.z0[:, None] + step * np.hstack([np.eye(len(self)), -np.eye(len(self))])
         ahead, behind = np.hsplit(self.from_slopes(far)[known], 2)
-        slopes = (ahead - behind) / (2.0 * step * times * np.sqrt(points[known]) * sigma[known])[:, None]
+        slopes = (ahead - behind) / (2.0 * step)
+        surest = np.maximum(
+            times * np.sqrt(points[known]) * sigma[known], _SUREST * np.linalg.norm(slopes, axis=1)
+        )
+        slopes /= surest[:, None]
         return np.asarray(slopes.T @ slopes)
 
     def on_bound(self, values: Floats, share: float = 1e-3) -> np.ndarray[Any, np.dtype[np.bool_]]:
@@ -334,6 +338,8 @@ class Space:
         return twin.with_changes(changes)
 
 
+#: In slope coordinates, a thousandth of a value: nothing is held more surely, whatever a file states (numerics).
+_SUREST = 1e-3
 #: Curves with at most so many points change point by point: the second smallest kernel is for eight points.
 FEW_POINTS: Final = 8
 

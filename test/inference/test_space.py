@@ -381,3 +381,9 @@ def test_what_a_file_states_of_its_values_is_information_on_them(mondeo: Twin) -
     stiffer[2:] = 0.1
     assert stiffer @ information @ stiffer == pytest.approx((1.0 / 2.0) ** 2, rel=1e-6)
     assert not wide_space(mondeo, keys).stated_precision(mondeo, 2.0).any()
+    for sigma in (
+        1e-9,
+        1e-250,
+    ):  # a slip of the pen: held to a thousandth, as a prior that can be computed with
+        surest = mondeo.with_changes({"uncertainty": {"vehicle.mass": sigma}})
+        assert space.stated_precision(surest, 2.0)[0, 0] == pytest.approx(1e6)
