@@ -18,8 +18,8 @@ __all__ = ["BAR", "torture"]
 
 BAR = "no loss at 1 kHz and with many twins where the machine allows, else said; memory flat within 5 MiB"
 _RATE, _SECONDS = 1000, 10.0  # Hz, s of a trial
-#: s of a trial that are not judged: after a pause and at another rate filters start, and the recorded drive begins anew, to
-#: which the pose jumps after a second of refused fixes.
+#: s of a trial that are not judged: after a pause and at another rate filters start, and the recorded drive begins
+#: anew, to which the pose jumps after a second of refused fixes.
 _WARM = 2.0
 _GROWTH = 5.0  # MiB
 #: Twins for each core, at 100 Hz each, fifty at most; MiB of memory that each needs.
