@@ -92,7 +92,7 @@ class Bench:
         client = self.side.create_client(kind, name)
         self.until(client.service_is_ready, f"the service {name}")
         future = client.call_async(request)
-        self.until(future.done, f"an answer of {name}")
+        self.until(future.done, f"an answer of {name}", 120.0)  # a twin's first one waits for a compiler
         self.side.destroy_client(client)
         return future.result()
 

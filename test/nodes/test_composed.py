@@ -214,7 +214,8 @@ def test_a_busy_first_node_does_not_starve_the_others_of_a_replay(composed, driv
         one.step()
     for node in (n for n in others if n is not one.player):
         now = node.get_clock().now().nanoseconds / 1e9
-        assert now == pytest.approx(drive.imu.t[0] + one.player.position, abs=0.5), node.get_name()
+        # one that starves stays at the start; a loaded machine lets the others lag, but not by half
+        assert 0.5 < (now - drive.imu.t[0]) / one.player.position < 1.5, node.get_name()
     first.destroy_timer(busy)
 
 
