@@ -6,6 +6,7 @@ from __future__ import annotations
 import asyncio
 import errno
 import json
+import logging
 import os
 import signal
 import socket
@@ -229,8 +230,12 @@ def test_samples_that_nobody_takes_are_counted_and_dropped() -> None:
     assert kept.t[-1] == t[-1]
 
 
-def test_an_interrupt_that_meets_a_task_is_no_traceback(caplog: pytest.LogCaptureFixture) -> None:
+def test_an_interrupt_that_meets_a_task_is_no_traceback(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Ctrl-C while a sample is being handed on; another error of a task is said."""
+    # the limit of lines is the process's: a test of it, run shortly before, has used it up
+    monkeypatch.setattr(logging.getLogger("asyncio"), "filters", [])
     runner = SourceLoop(["sensorlogger://127.0.0.1:0"], Hub())
     loop = runner._loop
     for error in (KeyboardInterrupt(), ValueError("lost")):
