@@ -26,8 +26,6 @@ except ModuleNotFoundError:
 #: (behind the front wheels, ahead of the rear ones), and the centres' heights above the wheel's.
 FRONT_VIEW, FRONT_HEIGHT = (2.3, 1.7), (-0.09, -0.06)
 SIDE_VIEW, SIDE_HEIGHT = (4.0, 2.6), (-0.02, 0.05)
-#: 1/m by which a strut's lever grows with compression, per axle.
-PROGRESSION = (0.6, 1.2)
 #: Of the bushing that holds a wheel along the road: N/m, and N s/m.
 BUSHING, BUSHING_DAMPING = 4.5e5, 900.0
 
@@ -82,7 +80,7 @@ def links(car: Car, part: float, centre: Floats) -> tuple[str, Floats]:
         rise = np.cross(axis, -front)[2]  # m up for each radian
         if rise < 0.0:
             axis, rise = -axis, -rise
-        lever[i] = (*axis, *front, PROGRESSION[axle])
+        lever[i] = (*axis, *front, lf.PROGRESSION[axle])
         bodies += f"""<body name="w{i}" pos="{mb.text(place - centre)}">
         <joint type="slide" axis="1 0 0" stiffness="{BUSHING:.9g}" damping="{BUSHING_DAMPING:.9g}"/>
         <joint type="hinge" pos="{mb.text(front)}" axis="{mb.text(axis)}"/>

@@ -13,6 +13,8 @@ from blind.multibody_forces import braked_by, driven_by, footing, hooked, roll_o
 #: Numbers of each linkage: its axis, the place from the wheel that this goes through, and its progression.
 AX, AY, AZ, FX, FY, FZ, PROG = range(7)
 LEVERS = 7
+#: 1/m by which a strut's lever grows with compression, per axle.
+PROGRESSION = (0.6, 1.2)
 #: What a wheel keeps: its spin rad/s, and how far its tyre is sheared along and across, m.
 SPIN, ALONG, ACROSS = range(3)
 STATES = 3

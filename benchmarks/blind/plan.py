@@ -54,7 +54,7 @@ SEVERITIES = (0.5, 1.5, 5.0)
 REALITIES = ("newton", "multibody")
 #: Seeds whose cars are the ones with linkages: fewer cases, and none of them faint.
 LINKS = ("links_dev", "links")
-_LINKAGE = "linkage"
+LINKAGE = "linkage"
 #: Plans of the whole library, and how many rounds through all kinds of cases they have; of those to report on the first
 #: cases of a round alone.
 WIDE = {"train": 3, "report4": 1, "report5": 1, "flexible_dev": 1, "flexible": 1}
@@ -214,7 +214,7 @@ def _numbered(seeds: Seeds, kind: Kind) -> Iterator[Spec]:
             effects=effects,
             severity=severity,
             world=_FIRST[seeds] + world,
-            reality=_LINKAGE if links else REALITIES[world % 2] if kind != "null" else REALITIES[coin % 2],
+            reality=LINKAGE if links else REALITIES[world % 2] if kind != "null" else REALITIES[coin % 2],
             # A reference shares the case's road file, whose faults would be in it as well.
             reference=not hidden and coin // 2 % 2 == 0,
             right=bool(more.get("right")),
@@ -304,7 +304,7 @@ def _wide(seeds: Seeds, kind: Kind) -> Iterator[Spec]:
 
 def _drawn(coin: int, msd: bool, flexible: bool) -> str:
     """A reality; wheels on linkages have a mass."""
-    cars = (*REALITIES, _LINKAGE, *(["flexible"] if flexible else []))
+    cars = (*REALITIES, LINKAGE, *(["flexible"] if flexible else []))
     return REALITIES[coin % 2] if msd else cars[coin % len(cars)]
 
 
@@ -378,7 +378,7 @@ def _set_up(seeds: Seeds, kind: Kind) -> Iterator[Spec]:
         else []
     )
     planar = list(_recorded_cases(kind))
-    everywhere = (*REALITIES, _LINKAGE, "flexible")
+    everywhere = (*REALITIES, LINKAGE, "flexible")
     for number in range(len(gross) + len(planar)):
         effects: tuple[str, ...]
         without: tuple[str, ...]

@@ -11,7 +11,8 @@ import numpy as np
 import yaml
 from scipy.optimize import brentq
 
-from blind.plan import MEASURED
+from blind.linkage_forces import PROGRESSION
+from blind.plan import LINKAGE, MEASURED
 from blind.world import DAMPER_N, DAMPER_REACH, SPRING_N, SPRING_REACH, Car, Floats, G, car_of
 
 Curve = tuple[Floats, Floats]
@@ -24,7 +25,8 @@ _TOLD = 0.1
 
 def told_values(label: dict[str, Any], case: Path, answer: Path) -> dict[str, list[float]]:
     """By the characteristics of springs and dampers that the headline of a recalibration names: true change, change
-    that is told, ends of its 90 % interval; shares of the given value. The true car's geometry is left aside."""
+    that is told, ends of its 90 % interval; shares of the given value. A lever that grows with travel is part of a
+    wheel's rate."""
     if label["reality"] == MEASURED or not (answer / "diagnosis.json").is_file():
         return {}
     document = json.loads((answer / "diagnosis.json").read_text())
@@ -45,8 +47,11 @@ def told_values(label: dict[str, Any], case: Path, answer: Path) -> dict[str, li
             before, after = (sum(_force(pair[k], reached) for pair in pairs) for k in (0, 1))
             change = left * after / before - 1.0
         else:
-            load = _load(car, places[0][0])
-            change = _rate(pairs[0][1], load) / _rate(pairs[0][0], load) - 1.0
+            axle = places[0][0]
+            load = _load(car, axle)
+            # d/ds of F(s + p s^2) (1 + 2 p s) about the standing car
+            levered = 2.0 * PROGRESSION[axle != "front"] * load if label["reality"] == LINKAGE else 0.0
+            change = (_rate(pairs[0][1], load) + levered) / _rate(pairs[0][0], load) - 1.0
         out[one["characteristic"]] = [float(v) for v in (change, one["change"], *one["interval"])]
     return out
 

@@ -14,7 +14,7 @@ from suspension_twin.diagnosis import wording
 from suspension_twin.diagnosis.answer import WITH_SIGNATURE, answer_of, kept_row, leading_channel, rounded
 from suspension_twin.diagnosis.case import Case
 from suspension_twin.diagnosis.decision import Decision, decide, learnt, usual
-from suspension_twin.diagnosis.features import add_linearised, evidence_of, refined_row
+from suspension_twin.diagnosis.features import add_linearised, evidence_of, refined_row, usual_errors_of
 from suspension_twin.diagnosis.judge import Candidate, Judged, candidate
 from suspension_twin.diagnosis.library import NUISANCE_COUNTERPART, library
 from suspension_twin.diagnosis.next_experiment import next_experiment
@@ -62,8 +62,11 @@ def conclude(
     }
     if foreign:
         rows["case"]["foreign_reference"] = True
-    add_linearised(case, judged, rows)
-    rows["base"]["recalibrated"] = recalibrated(judged, case.twin, request.seed) if case.excited else []
+    usual = usual_errors_of(case, judged)
+    add_linearised(case, judged, rows, usual)
+    rows["base"]["recalibrated"] = (
+        recalibrated(judged, case.twin, request.seed, usual) if case.excited else []
+    )
     decision = decide(rows, request.costs)
     kept = _of_row(judged, rows, decision)
     if kept is not judged.base:

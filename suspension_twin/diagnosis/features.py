@@ -39,7 +39,14 @@ from suspension_twin.inference.hypothesis import Hypothesis
 from suspension_twin.inference.parallel import side_by_side
 from suspension_twin.inference.problem import Problem
 
-__all__ = ["add_linearised", "clock_offsets", "evidence_of", "refined_row", "usual_ratio"]
+__all__ = [
+    "add_linearised",
+    "clock_offsets",
+    "evidence_of",
+    "refined_row",
+    "usual_errors_of",
+    "usual_ratio",
+]
 
 #: Change of clock and position errors over a drive, from +2 to -2 standard deviations: a slow drift of the GNSS
 #: position resembles a clock drift.
@@ -74,12 +81,11 @@ def refined_row(case: Case, judged: Judged, one: Candidate, seed: int) -> Json:
     return {key: row[key] for key in ("parameters", "vehicle", "channels", "level", "level_fitted")}
 
 
-def add_linearised(case: Case, judged: Judged, rows: Json) -> None:
+def add_linearised(case: Case, judged: Judged, rows: Json, usual: UsualErrors | None) -> None:
     """Add to the rows that could be named what takes a linearisation: 90 % intervals of the parameters and, on a road,
     ``beside``, the nats over recalibration where both stand beside the usual errors of every car."""
     hypotheses = zip([*judged.singles, *judged.sets], rows["hypotheses"], strict=True)
     wanted = [(c, r) for c, r in hypotheses if r["detailed"]]
-    usual = _usual_errors(case, judged) if case.road else None
 
     def add(pair: tuple[Candidate, Json]) -> float:
         one, row = pair
@@ -94,7 +100,10 @@ def add_linearised(case: Case, judged: Judged, rows: Json) -> None:
             row["beside"] = _plain(nats - without)
 
 
-def _usual_errors(case: Case, judged: Judged) -> UsualErrors:
+def usual_errors_of(case: Case, judged: Judged) -> UsualErrors | None:
+    """The usual errors of every car beside the vehicle of a case; None without a road."""
+    if not case.road:
+        return None
     offered = {**library(case.twin, case.excited), **decoys(case.twin, case.excited)}
     referenced = judged.scale.reference is not None
     return usual_errors(judged.problem, judged.base.found.fit.x, offered, referenced)

@@ -3,7 +3,8 @@
 
 A characteristic moved if the 90 % interval of its change excludes zero, over draws of the vehicle's coordinates about
 their fit without any effect, and of the values before by the standard deviations that the twin file states of them. The
-covariance of the fit is that of the intervals of effects (``cross_validation.covariance_of``).
+covariance of the fit (``cross_validation.covariance_of``) is that beside the usual errors of every car: a little dry
+friction, which the vehicle here does not have, moves the dampers that fit best by a few per cent.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from suspension_twin.calibration.uncertainty import INTERVAL
 from suspension_twin.diagnosis.answer import rounded
 from suspension_twin.diagnosis.judge import Judged
 from suspension_twin.diagnosis.shrink import gap_rows
+from suspension_twin.diagnosis.usual_errors import UsualErrors
 from suspension_twin.errors import InputError
 from suspension_twin.files import Json
 from suspension_twin.inference.cross_validation import covariance_of
@@ -64,7 +66,7 @@ class _Change:
         return (self.after / self.before - 1.0) if self.relative else self.after - self.before
 
 
-def recalibrated(judged: Judged, given: Twin, seed: int) -> list[Json]:
+def recalibrated(judged: Judged, given: Twin, seed: int, usual: UsualErrors | None = None) -> list[Json]:
     """List the values that recalibration moved, the largest ``share`` of the gap first.
 
     Parameters
@@ -75,6 +77,8 @@ def recalibrated(judged: Judged, given: Twin, seed: int) -> list[Json]:
         The twin as given.
     seed : int
         Seed of the draws.
+    usual : UsualErrors
+        What every car has; without it nothing is taken to stand beside the vehicle.
 
     Returns
     -------
@@ -93,7 +97,8 @@ def recalibrated(judged: Judged, given: Twin, seed: int) -> list[Json]:
     except InputError:  # the fit has points that the given file has not
         return []
     at = linearised_fit(problem.having(BASELINE), fit.x)
-    covariance = covariance_of(problem, at, judged.search.blocks, judged.scale.temper)[:d, :d]
+    beside = None if usual is None else usual.columns
+    covariance = covariance_of(problem, at, judged.search.blocks, judged.scale.temper, beside)[:d, :d]
     # not wider than the prior, which the division by the temper may exceed where the drives say nothing
     prior = np.diag(np.linalg.inv(problem.having(BASELINE).joint_prior()[0]))[:d]
     narrower = np.minimum(np.sqrt(prior / np.diag(covariance)), 1.0)

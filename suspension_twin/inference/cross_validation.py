@@ -261,20 +261,29 @@ def evidence(problem: Problem, fit: LinearisedFit, blocks: Blocks, linear: bool 
     return Evidence(plain, score, float(occam), level, out.residual, out.unknowns, float(fitted), penalty)
 
 
-def covariance_of(problem: Problem, fit: LinearisedFit, blocks: Blocks, temper: float) -> Floats:
+def covariance_of(
+    problem: Problem, fit: LinearisedFit, blocks: Blocks, temper: float, beside: Floats | None = None
+) -> Floats:
     """(p, p) covariance of all unknowns of a fit.
 
     Clustered sandwich covariance over blocks (White 1982): H^-1 (sum_b g_b g_b^T + P) H^-1 with the gradient g_b of
     each block. Model discrepancy is correlated over blocks and does not average out: the covariance is divided by
-    ``temper``, the share of the remaining residual that is noise.
+    ``temper``, the share of the remaining residual that is noise. Changes (R, n) of the whitened residuals that stand
+    ``beside`` the fit, each with a coordinate w ~ N(0, 1), are unknown as well.
     """
     precision, _ = problem.having(fit.hypothesis).joint_prior()
-    inverse: Floats = np.asarray(linalg.inv(fit.at.model.squares + precision))
+    p, model, jacobian = len(precision), fit.at.model, fit.at.jacobian
+    if beside is not None:
+        model = fit.at.with_effects(fit.at.residual, beside)
+        jacobian = np.concatenate([jacobian, beside], axis=1)
+        # what they are is known of other cars, not of this residual: the division below leaves their variance at 1
+        precision = linalg.block_diag(precision, np.eye(beside.shape[1]) / temper)
+    inverse: Floats = np.asarray(linalg.inv(model.squares + precision))
     pulls: Floats = np.stack(
-        [np.bincount(blocks.row, column * fit.at.residual, blocks.count) for column in fit.at.jacobian.T],
+        [np.bincount(blocks.row, column * fit.at.residual, blocks.count) for column in jacobian.T],
         axis=1,
     ).astype(np.float64)
-    return np.asarray(inverse @ (pulls.T @ pulls + precision) @ inverse / temper)
+    return np.asarray(inverse @ (pulls.T @ pulls + precision) @ inverse / temper)[:p, :p]
 
 
 def intervals(problem: Problem, fit: LinearisedFit, blocks: Blocks, temper: float) -> Floats:

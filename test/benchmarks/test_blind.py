@@ -257,8 +257,8 @@ def test_a_wheel_on_a_linkage_comes_up_as_its_lever_says(world: Any) -> None:
 
 def test_a_linkage_carries_a_payload_on_the_spring_the_lever_and_the_scrub_of_its_tyres(world: Any) -> None:
     from blind.folder import RUN
-    from blind.linkage import FRONT_HEIGHT, FRONT_VIEW, PROGRESSION
-    from blind.linkage_forces import BUILD_UP, STIFFNESS
+    from blind.linkage import FRONT_HEIGHT, FRONT_VIEW
+    from blind.linkage_forces import BUILD_UP, PROGRESSION, STIFFNESS
     from blind.world import SPRING_REACH, G
 
     car, plan = world.car, world.plans["drive_fast"]
@@ -568,6 +568,9 @@ def test_values_that_moved_are_compared_with_the_true_car(tmp_path: Path) -> Non
     standing = np.interp(load, car.rear.spring, fine)
     low, high = np.interp([standing - 0.02, standing + 0.02], fine, car.rear.spring)
     assert found["rear spring rate"][0] == pytest.approx((high - low) / 0.04 / 25e3 - 1.0)
+    # on levers that grow by 1.2 per metre the force F (1 + 2.4 s) at the wheel has the slope k + 2.4 F
+    levered = told_values({**label, "reality": "linkage"}, tmp_path, tmp_path)["rear spring rate"][0]
+    assert levered == pytest.approx(found["rear spring rate"][0] + 2.4 * load / 25e3)
     assert told_values({**label, "reality": "measured"}, tmp_path, tmp_path) == {}
 
 

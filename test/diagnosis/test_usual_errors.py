@@ -13,6 +13,7 @@ from test_hypothesis_problem import problem_of
 
 from suspension_twin.diagnosis.library import DECOYS, decoys, library
 from suspension_twin.diagnosis.usual_errors import UsualErrors, usual_errors
+from suspension_twin.inference.cross_validation import Blocks, covariance_of
 from suspension_twin.inference.fit import LinearisedFit
 from suspension_twin.inference.hypothesis import BASELINE
 from suspension_twin.inference.problem import Linearised, Problem
@@ -109,3 +110,22 @@ def test_what_a_little_of_everything_explains_is_no_evidence(problem: Problem, e
         effects=tuple(errors.effects[i] for i in others),
     )
     assert errors.log_evidence(whole, own, 1.0) == pytest.approx(fewer.log_evidence(whole, own, 1.0))
+
+
+def test_what_every_car_may_have_widens_what_looks_like_it_and_nothing_else(problem: Problem) -> None:
+    """An error that acts like the first unknown at s times its unit adds s^2 to its variance, as far as the unknown's
+    prior leaves it free; one that acts like none adds nothing."""
+    rng, rows, temper, s = np.random.default_rng(5), 400, 0.4, 0.7
+    p = problem.shared
+    basis, _ = np.linalg.qr(rng.standard_normal((rows, p + 1)))
+    fit = at(problem, rng.standard_normal(rows), 1e3 * basis[:, :p])
+    blocks = Blocks(np.arange(rows), np.arange(rows), rows)
+
+    def variance(beside: np.ndarray | None) -> np.ndarray:
+        return np.diag(covariance_of(problem, fit, blocks, temper, beside))
+
+    plain, like, unlike = (variance(b) for b in (None, s * fit.at.jacobian[:, :1], 3.0 * basis[:, p:]))
+    prior = problem.joint_prior()[0][0, 0]
+    assert like[0] == pytest.approx(plain[0] + 1.0 / (1.0 / s**2 + temper * prior), rel=1e-3)
+    assert like[1:] == pytest.approx(plain[1:], rel=1e-3)
+    assert unlike == pytest.approx(plain, rel=1e-6)
