@@ -7,8 +7,8 @@
 
 ``tables`` writes the generated parts, each between its marks: commands in commands.md, nodes, topics, services,
 actions and message definitions in interfaces.md, effects in effects.md, figures of kept results in
-diagnosis_figures.md; of all these pages, or of those that are named: ``tables effects`` needs no ROS. A test says when
-one has fallen behind.
+diagnosis_figures.md and tracked.md; of all these pages, or of those that are named: ``tables effects`` needs no ROS. A
+test says when one has fallen behind.
 ``pictures`` draws the pictures of this folder, or those that are named (demo, effects, damping, diagnosis, plan, rig);
 all of them take some minutes.
 """
@@ -116,6 +116,7 @@ def parts() -> dict[Path, dict[str, Callable[[], str]]]:
         },
         HERE / "effects.md": {"effects": effects},
         HERE / "diagnosis_figures.md": {"figures": figures},
+        HERE / "tracked.md": {"tracked": tracked},
     }
 
 
@@ -331,6 +332,31 @@ def _counted(shares: list[Any]) -> str:
     n = sum(n for _, n in shares)
     k = sum(round(share * n) for share, n in shares)
     return f"{100 * k / n:.{0 if 5 * k > n else 1}f} % ({k}/{n})" if n else ""
+
+
+def tracked() -> str:
+    """Every answer to the sealed runs of the tracked vehicle, by fault and size, from the kept results."""
+    from suspension_twin.effects.registry import EFFECTS
+
+    kept = json.loads((RESULTS / "tracked_blind.json").read_text(encoding="utf-8"))["reporting"]
+    found: dict[str, list[str]] = {}
+    for row in kept["rows"]:
+        if row["kind"] == "none":
+            continue
+        effect = EFFECTS[row["kind"]].on("tracked")
+        name = next(name for name in effect.severity if name in row)
+        unit = effect.parameter(name).unit
+        said = ", ".join(f"`{cause}`" for cause in row["named"]) or row["verdict"].replace("_", " ")
+        if row["verdict"] == "suspected":
+            said += " suspected"
+        if row["outcome"] == "right":
+            value, true = (f"{float(f'{v:.2g}'):g}" for v in (row["own"][name], row[name]))
+            said = f"**{said}** {value} ({true}){'' if unit in ('', '1') else f' {unit}'}"
+        found.setdefault(f"`{row['kind']}`", []).append(said)
+    heads = ["fault", *(f"{size:g} floors" for size in kept["severities"])]
+    text = table(heads, ([kind, *cells] for kind, cells in found.items()))
+    right = f"{kept['right']} of {kept['cases']} right, in bold with what was said and the true size"
+    return f"{text}\nBy commit {kept['commit'][:8]}: {right}.\n"
 
 
 # -- effects -------------------------------------------------------------------------------------

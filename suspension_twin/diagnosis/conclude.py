@@ -41,7 +41,7 @@ from suspension_twin.vehicle.twin import Twin
 __all__ = ["conclude"]
 
 #: Verdicts that a reference may settle, and what is said of a twin that was calibrated and has none.
-_OPEN = ("suspected", "unknown", "recalibration")
+_OPEN = ("suspected", "unknown")
 _OWN_REFERENCE = (
     "Diagnose again with --reference and a drive on which the twin was calibrated, if nothing was wrong then: it shows "
     "how well the model follows the sound vehicle."
