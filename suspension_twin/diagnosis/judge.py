@@ -221,8 +221,9 @@ def _grown(
 ) -> list[Candidate]:
     """Sets of two and three effects, grown from the effects of highest evidence.
 
-    With two causes, the effect of highest evidence may be neither of them. A set is not grown where its first effect
-    leaves no more than a complete model does.
+    With two causes, the effect of highest evidence may be neither of them. A set is not grown where its first effects
+    leave no more than a complete model does; beside the best effect alone, one is fitted there all the same if a first
+    look shows what a further effect has to add.
     """
     effects = library(case.twin, case.excited, case.named(request.effects), len(case.drives))
     known = [c for c in judged.singles if not c.decoy]
@@ -231,20 +232,23 @@ def _grown(
     gains[[c.effects[0] in weak for c in known]] = -np.inf
     expected = USUAL_SHARE if judged.scale.reference is None else judged.scale.reference
     found: dict[tuple[str, ...], Candidate] = {}
-    for i in np.argsort(-gains, kind="stable")[:_LEADS]:
+    for place, i in enumerate(np.argsort(-gains, kind="stable")[:_LEADS]):
         if gains[i] < max(LEAST_GAIN, _LEAD_SHARE * float(gains.max())):
             continue
         chosen, gain = known[i], float(gains[i])
-        while (
-            len(chosen.effects) < min(_MOST_EFFECTS, len(effects)) and _level(case, judged, chosen) > expected
-        ):
+        while len(chosen.effects) < min(_MOST_EFFECTS, len(effects)):
+            complete = _level(case, judged, chosen) <= expected
+            if complete and (place or len(chosen.effects) > 1):
+                break
             tried = pairs(
                 judged.problem,
                 chosen.found,
                 effects,
                 judged.search,
                 lambda done, note: report(DiagnosisProgress("combinations", 0.76 + 0.18 * done, note)),
-                weak,
+                skip=weak,
+                temper=judged.scale.temper,
+                least=ADDED if complete else -np.inf,
             )
             if not tried:
                 break

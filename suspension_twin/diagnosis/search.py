@@ -34,10 +34,11 @@ from suspension_twin.inference.fit import (
     screen,
     twin_of,
 )
+from suspension_twin.inference.gauss_newton import Quadratic, bounded_step
 from suspension_twin.inference.hypothesis import Hypothesis, combined
 from suspension_twin.inference.parallel import side_by_side
 from suspension_twin.inference.posterior import travel
-from suspension_twin.inference.problem import Problem
+from suspension_twin.inference.problem import STEP_EFFECT, Linearised, Problem
 from suspension_twin.inference.sensor_correction import Turn
 
 __all__ = ["FINALISTS", "Search", "Single", "joint_fit", "pairs", "singles", "without_one"]
@@ -369,10 +370,17 @@ def pairs(
     library: dict[str, list[Hypothesis]],
     search: Search,
     on_progress: Callable[[float, str], None],
+    *,
     skip: Sequence[str] = (),
+    temper: float = 1.0,
+    least: float = -math.inf,
 ) -> list[Evidence]:
-    """Evidence of the sets with one more effect than ``first`` that a first fit finds best, over the excerpt if there
-    is one."""
+    """Evidence of the sets with one more effect than ``first`` that a first look finds best, over the excerpt if there
+    is one; of those alone that gain at least so many nats there.
+
+    The look weighs the residual by ``temper``, as the evidence does: what the nuisance parameters take over (a clock)
+    costs their prior alone, which is not tempered.
+    """
     excerpt, seed, rounds = search.excerpt, search.seed, search.rounds
     there = first.fit.hypothesis
     begun = linearised_fit(problem.having(there), first.fit.x)
@@ -380,15 +388,16 @@ def pairs(
     others = [e for e in library if e not in there.effects and e not in skip]
     if any(_since_the_start(there, e) for e in there.effects):
         excerpt = None
+    whole = _tempered(problem, begun, temper)
+    part = whole
     if excerpt is not None:
         short = linearised_fit(excerpt.problem.having(there), first.fit.x)
+        part = _tempered(excerpt.problem, short, temper / excerpt.share)
 
     def look(effect: str) -> list[tuple[float, Hypothesis, list[Floats]]]:
-        """By variant: what it gains on the whole drives by a first look, and the best starts."""
-        if excerpt is None or _since_the_start(library[effect][0], effect):
-            return _looked(problem, begun, effect, library[effect], seed)
-        found = _looked(excerpt.problem, short, effect, library[effect], seed)
-        return [(gain / excerpt.share, both, starts) for gain, both, starts in found]
+        """By variant: nats that it gains on the whole drives by a first look, and the best starts."""
+        own = whole if _since_the_start(library[effect][0], effect) else part
+        return _looked(*own, effect, library[effect], seed)
 
     looked = rounds.side_by_side(
         f"beside {there.name}",
@@ -396,7 +405,7 @@ def pairs(
         others,
         lambda done, name: on_progress(0.7 * done, f"{there.name} and {name}".replace("_", " ")),
     )
-    rough = sorted((r for some in looked for r in some), key=lambda r: -r[0])
+    rough = sorted((r for some in looked for r in some if r[0] > least), key=lambda r: -r[0])
     best: dict[tuple[str, ...], tuple[Hypothesis, list[Floats]]] = {}
     for _, both, starts in rough:
         best.setdefault(both.effects, (both, starts))
@@ -418,30 +427,73 @@ def pairs(
     )
 
 
+def _tempered(problem: Problem, start: LinearisedFit, share: float) -> tuple[Problem, LinearisedFit, float]:
+    """A problem and a fit with a ``share`` of the weight of every residual's square, and the cost that a linear step
+    leaves of the fit."""
+    known, root = problem.likelihood.weight, math.sqrt(share)
+    weight = np.ones(start.at.residual.size) if known is None else known
+    light = problem.weighed(problem.likelihood.noise, weight=root * weight)
+    at = Linearised(start.x, root * start.at.residual, root * start.at.jacobian)
+    own = light.having(start.hypothesis)
+    cost = start.cost - (1.0 - share) * float(start.at.residual @ start.at.residual)
+    moved = _linear_step(own, at.model, start.x)
+    alone = min(cost, float(own.costs(moved[:, None])[0]))
+    return light, LinearisedFit(start.hypothesis, start.x, cost, at), alone
+
+
 def _looked(
-    problem: Problem, start: LinearisedFit, effect: str, variants: Sequence[Hypothesis], seed: int
+    problem: Problem,
+    start: LinearisedFit,
+    alone: float,
+    effect: str,
+    variants: Sequence[Hypothesis],
+    seed: int,
 ) -> list[tuple[float, Hypothesis, list[Floats]]]:
-    """A first look at the sets of ``start`` with a variant of one more effect: gain in -2 log posterior, hypothesis and
-    starts of each."""
+    """A first look at the sets of ``start`` with a variant of one more effect: gain in nats over the cost ``alone``,
+    hypothesis and starts of each."""
     there = start.hypothesis
     tried = [(combined(there, v), v.starts(_STARTS // 2, seed)) for v in variants]
     screens = [(both, screen(problem.having(both), start, starts)) for both, starts in tried]
     more = [
         [
+            _from_nothing(problem.having(both), start, v),
             *_resonant(problem, start, both, v),
             *tone_starts(problem, start, both, effect, own),
         ]
         for (both, _), v, own in zip(tried, variants, _peaks(problem, start, effect, variants), strict=True)
     ]
-    # starts of resonances and tones are ranked by their simulated cost
+    # these starts are ranked by their simulated cost
     costs = [
-        [float(problem.having(both).costs(x[:, None])[0]) for x in found]
+        problem.having(both).costs(np.stack(found, axis=1)).tolist()
         for (both, _), found in zip(tried, more, strict=True)
     ]
     return [
-        (start.cost - min([s.cost[0], *cost]), both, [*s.x[:_TRIED], *found])
+        (0.5 * (alone - min([s.cost[0], *cost])), both, [*s.x[:_TRIED], *found])
         for (both, s), cost, found in zip(screens, costs, more, strict=True)
     ]
+
+
+def _from_nothing(problem: Problem, start: LinearisedFit, added: Hypothesis) -> Floats:
+    """Unknowns one linear step from ``start`` and none of the ``added`` effect: scattered starts miss a size that the
+    drives show to a hundredth of its prior, as they do that of a clock offset."""
+    u, (_, high) = added.neutral(), added.bounds()
+    steps = np.where(u + STEP_EFFECT > high, -STEP_EFFECT, STEP_EFFECT)
+    x = np.concatenate([start.x, u])
+    lanes = np.repeat(x[:, None], 1 + u.size, axis=1)
+    lanes[start.x.size :, 1:] += np.diag(steps)
+    residual, failed = problem.residuals(lanes)
+    if failed.any():
+        return x
+    columns = (residual[:, 1:] - residual[:, :1]) / steps
+    return _linear_step(problem, start.at.with_effects(residual[:, 0].copy(), columns), x)
+
+
+def _linear_step(problem: Problem, model: Quadratic, x: Floats) -> Floats:
+    """``x`` and one bounded step of the quadratic ``model``."""
+    precision, centre = problem.joint_prior()
+    gradient = model.slope + precision @ (x - centre)
+    step = bounded_step(model.squares + precision, gradient[:, None], *problem.room(x))[:, 0]
+    return np.asarray(problem.clipped((x + step)[:, None])[:, 0])
 
 
 def joint_fit(

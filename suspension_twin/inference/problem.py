@@ -60,7 +60,7 @@ __all__ = [
 #: Bound of a nuisance parameter in standard deviations of its prior: a larger error is an effect.
 REACH = 3.0
 #: Finite-difference steps of the vehicle and of effects, in their search coordinates.
-STEP, _STEP_EFFECT = 1e-3, 1e-2
+STEP, STEP_EFFECT = 1e-3, 1e-2
 #: Prior correlation of the logarithms of neighbouring slopes of a characteristic.
 CORRELATION = SINGLE["slopes"]
 # Simulated signals kept at once, in numbers: 25 million are 200 MB.
@@ -617,7 +617,7 @@ class Problem:
         p, k = self.shared, len(self.hypothesis)
         _, high = self.hypothesis.bounds()
         # backwards near the upper bound
-        own = np.where(x[p:] + _STEP_EFFECT > high, -_STEP_EFFECT, _STEP_EFFECT)
+        own = np.where(x[p:] + STEP_EFFECT > high, -STEP_EFFECT, STEP_EFFECT)
         steps = np.concatenate([np.full(vehicle, STEP), own])
         stepped = np.repeat(x[:, None], 1 + vehicle + k, axis=1)
         stepped[[*range(vehicle), *range(p, p + k)], 1 + np.arange(vehicle + k)] += steps

@@ -370,3 +370,14 @@ def test_a_map_that_was_off_before_and_after_is_named_as_not_new(make: Any) -> N
     assert document["combination"] == ["position_offset"], document["message"]
     assert document["before_and_after"] is True and "before and after alike" in document["message"]
     assert document["causes"][0]["parameters"]["offset"] == pytest.approx(0.5, abs=0.03)
+
+
+@pytest.mark.long
+def test_a_late_clock_is_found_beside_a_load_that_leaves_little(make: Any) -> None:
+    """10 ms are half taken over by the nuisance parameters and far less than the scattered starts are apart, and the
+    load alone leaves no more than a complete model may."""
+    late = EffectSpec(id="time_offset", parameters={"offset": 0.01})
+    case = make("payload", {"mass": 300.0, "x": 0.3, "y": 0.1}, always=(late,))
+    few = ("payload", "time_offset", "position_offset", "tyre_pressure", "corner_spring", "lateral_offset")
+    result = diagnose(replace(ask(case), effects=few))
+    assert result.document["combination"] == ["payload", "time_offset"], result.document["message"]
