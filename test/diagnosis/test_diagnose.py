@@ -379,3 +379,16 @@ def test_a_late_clock_is_found_beside_a_load_that_leaves_little(make: Any) -> No
     few = ("payload", "time_offset", "position_offset", "tyre_pressure", "corner_spring", "lateral_offset")
     result = diagnose(replace(ask(case), effects=few))
     assert result.document["combination"] == ["payload", "time_offset"], result.document["message"]
+
+
+@pytest.mark.long
+def test_an_open_answer_of_a_calibrated_twin_asks_for_a_drive_of_its_calibration(
+    make: Any, tmp_path: Path
+) -> None:
+    twin, bags, _ = make("progressive_spring", {f"{axle}_square": 4e7 for axle in ("front", "rear")})
+    save_twin(load_twin(twin).with_changes({"uncertainty": {"vehicle.mass": 20.0}}), tmp_path / "twin.yaml")
+    document = diagnose(ask((tmp_path / "twin.yaml", bags, []))).document
+    assert document["verdict"] == "unknown", document["message"]
+    assert document["next_experiment"].startswith(
+        "Diagnose again with --reference and a drive on which the twin was calibrated"
+    )
