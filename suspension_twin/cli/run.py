@@ -279,6 +279,8 @@ def _run_command(
                 with ExitStack() as stack:
                     for companion in companions:
                         stack.enter_context(companion.beside(composed, stop))
+                    if composed.player is not None:
+                        composed.player.reset(delay)
                     if playback is not None and playback.stay:
                         say(f"The replay begins with the first page that is opened, or in {_VIEWED:.0f} s.")
                     _run(composed, lambda: stop.asked or not context.ok(), bag, playback)

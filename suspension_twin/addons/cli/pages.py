@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import secrets
 import shutil
@@ -12,13 +13,14 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, NamedTuple
 
 from suspension_twin.addons.sources.common.connection import url_host
 from suspension_twin.addons.view.fleet import FleetServer, TwinRow
 from suspension_twin.addons.view.server import TOKEN_VARIABLE
+from suspension_twin.cli._status import say
 from suspension_twin.cli.run import Companion
 from suspension_twin.errors import InputError, WorkError
 
@@ -31,6 +33,8 @@ __all__ = ["Foxglove", "Viewer", "fleet_pages", "foxglove_address", "free_addres
 
 #: Pages of single twins that a fleet's page keeps open, and s that one may take to start.
 _PAGES, _OPENED = 4, 30.0
+#: s between two tries to reach a process that starts.
+_AGAIN = 0.1
 
 
 class ListenAddress(NamedTuple):
@@ -96,11 +100,18 @@ class Viewer(Companion):
     def __init__(self, given: str, settings: RunSettings) -> None:
         self._ros = settings.ros
         bag = "" if settings.replay.bag is None else str(settings.replay.bag)
-        self._values = free_address("--view", given)._asdict() | {"twin": str(settings.twin), "bag": bag}
+        self._place = free_address("--view", given)
+        self._values = self._place._asdict() | {"twin": str(settings.twin), "bag": bag}
 
-    def beside(self, _composed: Composed, _stop: Stop) -> AbstractContextManager[None]:
-        """See ``Companion``."""
-        return node_process(self.node, self._values, self._ros.namespace, self._ros.arguments)
+    @contextmanager
+    def beside(self, composed: Composed, stop: Stop) -> Iterator[None]:
+        """See ``Companion``. A replay waits for its page, which cannot be opened before its process listens."""
+        with node_process(self.node, self._values, self._ros.namespace, self._ros.arguments):
+            if composed.player is not None:
+                composed.player.reset(math.inf)
+                if not _listens(self._place, lambda: stop.asked, composed.step):
+                    say(f"{self.node} has not started within {_OPENED:.0f} s")
+            yield
 
 
 class Foxglove(Viewer):
@@ -109,9 +120,9 @@ class Foxglove(Viewer):
     node = "foxglove_bridge"
 
     def __init__(self, given: str, settings: RunSettings) -> None:
-        place, self._ros = foxglove_address(given), settings.ros
+        self._place, self._ros = foxglove_address(given), settings.ros
         replayed = settings.replay.bag is not None
-        self._values = {"host": place.host, "port": place.port, "use_sim_time": replayed}
+        self._values = {"host": self._place.host, "port": self._place.port, "use_sim_time": replayed}
 
 
 @contextmanager
@@ -131,7 +142,8 @@ def fleet_pages(
             port, own = free.port, ExitStack()
             values = {"host": place.host, "port": port, "token": place.token, "twin": twins[name]}
             own.enter_context(node_process("viewer", values, name, ros.arguments))
-            _await_listener(free)
+            if not _listens(free):
+                raise WorkError("--view: the page of this twin did not start")
         opened[name] = port, own
         return port
 
@@ -145,11 +157,17 @@ def fleet_pages(
             own.close()
 
 
-def _await_listener(place: ListenAddress) -> None:
-    """Until a page answers on a port; raises WorkError where it does not."""
+def _listens(
+    place: ListenAddress,
+    given_up: Callable[[], bool] = lambda: False,
+    meanwhile: Callable[[], None] = lambda: None,
+) -> bool:
+    """Whether something listens there: waits for it until it does, or nobody waits any more, at most ``_OPENED`` s."""
     until = time.monotonic() + _OPENED
-    while time.monotonic() < until:
+    while time.monotonic() < until and not given_up():
         with suppress(OSError), socket.create_connection((place.host, place.port), timeout=1.0):
-            return
-        time.sleep(0.1)
-    raise WorkError("--view: the page of this twin did not start")
+            return True
+        due = time.monotonic() + _AGAIN
+        meanwhile()
+        time.sleep(max(due - time.monotonic(), 0.0))
+    return False

@@ -43,8 +43,9 @@ __all__ = ["ViewerNode"]
 
 #: s between two looks at the buttons of the page.
 _TICK = 0.05
-#: A page may miss a sample; a node must never wait for it.
-_QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
+#: A page may miss a sample; a node must never wait for it. The queue holds 10 s of 400 samples a second: a page that
+#: gets too little of the processor shows late what it got, rather than curves with holes (tolerance, by hand).
+_QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=4000, reliability=ReliabilityPolicy.BEST_EFFORT)
 #: Unanswered for so long in s, a node is shown as gone.
 _GONE = 4.0
 #: s between two looks at what publishers of sensors offer (tolerance: missed of a best-effort one that appears).

@@ -33,7 +33,8 @@ _SEGMENT, _HIGHEST = 4.0, 50.0
 _STEP, _POINTS = 0.5, 6000
 #: Samples that wait for their counterpart: 2.5 s at 1.6 kHz.
 _UNPAIRED = 4000
-#: Stamps that go back by more than this begin anew, in s: as the nodes reset.
+#: Stamps of one signal that go back by more than this begin anew, in s: as the nodes reset. Another signal may come
+#: later by any time: a slow machine answers long after the pose.
 _BACK = 1.0
 _DAY = 86_400 * 10**9  # ns
 #: Standard deviation of the position in m up to which single bumps lie under the right wheel, and up to which
@@ -76,6 +77,7 @@ class LiveView:
         """Begin anew: the recording was wound to another place, or another one begins."""
         self._t0: int | None = None
         self._newest = 0
+        self._last: dict[str, int] = {}  # newest stamp of each signal
         self._rows: dict[str, deque[list[float]]] = {
             "pose": deque(),
             "joints": deque(),
@@ -200,8 +202,9 @@ class LiveView:
     def _keep(self, name: str, ns: int, row: list[float]) -> bool:
         if not all(map(math.isfinite, row)):
             return False
-        if ns < self._newest - _BACK * 1e9:
+        if ns < self._last.get(name, ns) - _BACK * 1e9:
             self.clear()
+        self._last[name] = max(self._last.get(name, ns), ns)
         if self._t0 is None:
             self._t0 = self._origin if self._origin <= ns < self._origin + _DAY else ns
         self._newest = max(self._newest, ns)

@@ -101,6 +101,18 @@ def test_a_jump_back_and_a_new_twin_begin_anew(repository):
     assert view.frame()["scene"]["name"] == "Ford Mondeo Mk IV estate"
 
 
+def test_an_answer_that_comes_long_after_the_pose_is_no_jump_back():
+    view = LiveView()
+    for k in range(1000):
+        t = 0.01 * k
+        view.pose(START + round(t * 1e9), (5.0 * t, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+        view.measured(START + round(max(t - 2.0, 0.0) * 1e9), 0.1)
+        view.simulated(START + round(max(t - 4.0, 0.0) * 1e9), 0.2)
+    rows = view.snapshot()
+    assert rows["pose"][0][0] == rows["measured"][0][0] == rows["simulated"][0][0] == 0.0
+    assert rows["path"][0][0] == 0.0 and rows["path"][-1][2] == pytest.approx(0.1)
+
+
 def test_seconds_are_those_of_the_recording():
     view = LiveView()
     view.count_from(START - 5 * 10**9)
