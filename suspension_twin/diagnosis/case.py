@@ -383,23 +383,27 @@ def _repeated(case: Case, problem: Problem, x: Floats) -> Problem:
     discrepancy of a sound vehicle is known, so the vehicle is held as the references show it. The model reproduces
     a change no better than the sound vehicle: half of its residual there is noise of the change. Beside it stands the
     scatter of repeats, which the references of one program show: one of n misses the mean of the others by
-    1 + 1 / (n - 1) times the variance of a run, a run after them misses their mean by 1 + 1 / n times that.
+    1 + 1 / (n - 1) times the variance of a run, a run after them misses their mean by 1 + 1 / n times that. What one
+    run leaves is compared with what another does at the same place of the program: the clock and the speed of each are
+    known by its fit.
     """
-    data, measured = problem.data, problem.measured
+    data, measured, found = problem.data, problem.measured, x[problem.d : problem.shared, None]
     missed = measured.values - problem.readings(x)
+    program = [part.t + problem.nuisances.stamped_early(i, found)[:, 0] for i, part in enumerate(data.parts)]
     ends = np.cumsum([0, *(r.size for r in data.rows)])
     quiet = [j for j, active in enumerate(data.active) if not active]
     expected: list[Floats | None] = []
     scatter, again = np.zeros_like(missed), list[int]()
     for number, part in enumerate(data.parts):
         same = [j for j in quiet if j != number and repeats(part, data.parts[j])]
-        off = [interpolated(part.t, data.parts[j].t, missed[ends[j] : ends[j + 1]]) for j in same]
+        off = [interpolated(part.t, program[j], missed[ends[j] : ends[j + 1]]) for j in same]
         others = np.mean(off, axis=0) if off else None
         expected.append(others)
         if others is not None and number in quiet:
             own = slice(ends[number], ends[number + 1])
             scale = np.sqrt(1.0 - (len(off) + 1) ** -2.0)
-            scatter[own] = scale * (missed[own] - others[data.rows[number]])
+            there = interpolated(program[number], part.t, others)
+            scatter[own] = scale * (missed[own] - there[data.rows[number]])
             again.append(number)
     share = _DOUBT * shares(measured, missed, quiet)
     if again:

@@ -38,7 +38,7 @@ from suspension_twin.inference.gauss_newton import Quadratic, bounded_step
 from suspension_twin.inference.hypothesis import Hypothesis, combined
 from suspension_twin.inference.parallel import side_by_side
 from suspension_twin.inference.posterior import travel
-from suspension_twin.inference.problem import STEP_EFFECT, Linearised, Problem
+from suspension_twin.inference.problem import Linearised, Problem
 from suspension_twin.inference.sensor_correction import Turn
 
 __all__ = ["FINALISTS", "Search", "Single", "joint_fit", "pairs", "singles", "without_one"]
@@ -476,16 +476,9 @@ def _looked(
 def _from_nothing(problem: Problem, start: LinearisedFit, added: Hypothesis) -> Floats:
     """Unknowns one linear step from ``start`` and none of the ``added`` effect: scattered starts miss a size that the
     drives show to a hundredth of its prior, as they do that of a clock offset."""
-    u, (_, high) = added.neutral(), added.bounds()
-    steps = np.where(u + STEP_EFFECT > high, -STEP_EFFECT, STEP_EFFECT)
-    x = np.concatenate([start.x, u])
-    lanes = np.repeat(x[:, None], 1 + u.size, axis=1)
-    lanes[start.x.size :, 1:] += np.diag(steps)
-    residual, failed = problem.residuals(lanes)
-    if failed.any():
-        return x
-    columns = (residual[:, 1:] - residual[:, :1]) / steps
-    return _linear_step(problem, start.at.with_effects(residual[:, 0].copy(), columns), x)
+    x = np.concatenate([start.x, added.neutral()])
+    columns = problem.effect_columns(x, known=start.x.size - problem.shared)
+    return _linear_step(problem, start.at.with_effects(*columns), x)
 
 
 def _linear_step(problem: Problem, model: Quadratic, x: Floats) -> Floats:

@@ -294,6 +294,15 @@ class Nuisances:
             [np.stack([about.get(c, zero) for c in self.channels], axis=1) for about in (about_x, about_y)]
         )
 
+    def stamped_early(self, number: int, values: Floats) -> Floats:
+        """(m, L), or (1, L) where it is the same at all of them: s by which the grid samples of a part happened after
+        their stamps, by the clock and the speed among the nuisances ``values`` (q, L)."""
+        drive, t = self._drive_names[number], self._parts[number].t
+        clocks = [self._row[name] for name in (f"{drive}.clock_offset", "clock_offset") if name in self._row]
+        early = values[clocks].sum(axis=0)[None, :]
+        faster = self._row.get(f"{drive}.speed")
+        return early if faster is None else early + values[faster] * (t - t[0])[:, None]
+
     def apply(self, number: int, simulated: Floats, rows: NDArray[np.intp], values: Floats) -> Floats:
         """Readings of the sensor for part ``number`` at grid samples ``rows`` (r,).
 
@@ -319,10 +328,9 @@ class Nuisances:
         if knots.size:
             hats = interpolated(part.t[rows], knots, np.eye(knots.size))
             metres = metres + sense * np.einsum("rk,kl->rl", hats, wander, optimize=False)
-        late = (value(f"{drive}.clock_offset") + value("clock_offset"))[None, :]
-        if f"{drive}.speed" in self._row:
-            late = late + value(f"{drive}.speed") * (part.t[rows] - part.t[0])[:, None]
-        shift = (late + metres / along[:, None]) * part.rate
+        early = self.stamped_early(number, values)
+        early = early if early.shape[0] == 1 else early[rows]
+        shift = (early + metres / along[:, None]) * part.rate
         gain = np.ones((len(self.channels), lanes))
         gain[self._force] += value("gain")
         bias = np.stack([value(f"{drive}.bias.{c}") for c in self.channels])

@@ -606,16 +606,18 @@ class Problem:
         _columns(d, stepped, steps, moved, nuisances.steps[free], d + free, given, d + plain, jacobian)
         return Linearised(x, stepped[:, 0].copy(), jacobian)
 
-    def effect_columns(self, x: Floats) -> tuple[Floats, Floats]:
-        """Residuals (R,) at ``x`` (p,) and the Jacobian columns (R, k) of the effects."""
-        stepped, steps, _ = self._stepped(x, 0)
+    def effect_columns(self, x: Floats, known: int = 0) -> tuple[Floats, Floats]:
+        """Residuals (R,) at ``x`` (p,) and the Jacobian columns (R, k - known) of the effects, those of the first
+        ``known`` coordinates left out."""
+        stepped, steps, _ = self._stepped(x, 0, known)
         return stepped[:, 0].copy(), (stepped[:, 1:] - stepped[:, :1]) / steps
 
-    def _stepped(self, x: Floats, vehicle: int) -> tuple[Floats, Floats, list[Floats]]:
+    def _stepped(self, x: Floats, vehicle: int, known: int = 0) -> tuple[Floats, Floats, list[Floats]]:
         """Residuals (R, 1 + vehicle + k) at ``x`` and one step away in the first ``vehicle`` unknowns and in those of
-        the effects, these steps (vehicle + k,), infinite where a lane failed, and the signals (m, C, 1) at ``x``."""
-        p, k = self.shared, len(self.hypothesis)
-        _, high = self.hypothesis.bounds()
+        the effects but for the first ``known``, these steps (vehicle + k,), infinite where a lane failed, and the
+        signals (m, C, 1) at ``x``."""
+        p, k = self.shared + known, len(self.hypothesis) - known
+        high = self.hypothesis.bounds()[1][known:]
         # backwards near the upper bound
         own = np.where(x[p:] + STEP_EFFECT > high, -STEP_EFFECT, STEP_EFFECT)
         steps = np.concatenate([np.full(vehicle, STEP), own])
@@ -624,7 +626,7 @@ class Problem:
         found, failed, base = [], [], list[Floats]()
         for cut in self.batches(stepped.shape[1]):
             signals, bad = self.signals(stepped[:, cut])
-            found.append(self.likelihood.residuals(signals, stepped[self.d : p, cut]))
+            found.append(self.likelihood.residuals(signals, stepped[self.d : self.shared, cut]))
             failed.append(bad)
             base = base or [s[:, :, :1] for s in signals]
         residual = found[0] if len(found) == 1 else np.concatenate(found, axis=1)

@@ -33,13 +33,16 @@ def file(repository: Path) -> str:
 
 @pytest.fixture(scope="module")
 def cut(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> Cut:
-    """``cut(repeat, scale)``: the first two seconds of a bundled run, filmed by a camera of another scale."""
+    """``cut(repeat, scale, late)``: the first two seconds of a bundled run, filmed by a camera of another scale whose
+    clock was started ``late`` s earlier."""
 
-    def build(repeat: int, scale: float = 1.0) -> str:
+    def build(repeat: int, scale: float = 1.0, late: float = 0.0) -> str:
         path = repository / "config" / "tracked" / "runs" / f"13kmh_{repeat}.csv"
         header, *lines = path.read_text(encoding="utf-8").splitlines()
-        table = np.loadtxt(lines[:ROWS], delimiter=",")
-        table[:, 1:] *= scale
+        table = np.loadtxt(lines[: 2 * ROWS], delimiter=",")
+        t = table[:ROWS, 0]
+        motion = np.stack([np.interp(t - late, table[:, 0], c) for c in table[:, 1:].T], axis=1)
+        table = np.concatenate([t[:, None], scale * motion], axis=1)
         out = tmp_path_factory.mktemp("runs") / path.name
         np.savetxt(out, table, delimiter=",", header=header, comments="", fmt="%.6g")
         return str(out)
@@ -62,6 +65,15 @@ def test_a_camera_of_another_scale_is_named(scaled: dict[str, Any]) -> None:
     assert top["parameters"]["scale"] == pytest.approx(0.1, abs=0.03)
     low, high = top["shrink_interval"]
     assert low <= top["shrink"] <= high + 1e-9
+
+
+@pytest.mark.long
+def test_clocks_that_were_started_at_other_moments_are_no_fault(file: str, cut: Cut) -> None:
+    """What the references leave is expected at the same place of the run, whenever its clock was started."""
+    before = cut(1, late=0.015), cut(2, late=-0.015)
+    found = diagnose(DiagnosisRequest(file, (cut(3),), before, effects=("time_offset",))).document
+    assert found["verdict"] == "no_gap" and found["combination"] == []
+    assert found["causes"][0]["probability"] < 0.1
 
 
 @pytest.mark.long
