@@ -167,6 +167,8 @@ def read_case(
         return _runs(twin, observe_runs(twin, bags), active)
     road = road_of(twin) if twin.road is not None else flat_road()
     settings = _PLANAR_ONLY if twin.road is None else _ON_ROAD
+    # without a road no place matters: a drive may be far from the twin's origin
+    local = twin if twin.road is not None else twin.model_copy(update={"datum": None})
 
     def recording(bag: str) -> Drive:
         if stop():
@@ -178,7 +180,7 @@ def read_case(
     def ready(recorded: Drive) -> Observation | NoPlaceError:
         if stop():
             raise Interrupted
-        observation = observe(recorded, twin, road, settings, strict=True)
+        observation = observe(recorded, local, road, settings, strict=True)
         if twin.road is not None:
             check_drive(in_reach(observation))
             observation = on_one_clock(observation)

@@ -299,9 +299,9 @@ class Nuisances:
         their stamps, by the clock and the speed among the nuisances ``values`` (q, L)."""
         drive, t = self._drive_names[number], self._parts[number].t
         clocks = [self._row[name] for name in (f"{drive}.clock_offset", "clock_offset") if name in self._row]
-        early = values[clocks].sum(axis=0)[None, :]
+        early: Floats = values[clocks].sum(axis=0)[None, :]
         faster = self._row.get(f"{drive}.speed")
-        return early if faster is None else early + values[faster] * (t - t[0])[:, None]
+        return early if faster is None else np.asarray(early + values[faster] * (t - t[0])[:, None])
 
     def apply(self, number: int, simulated: Floats, rows: NDArray[np.intp], values: Floats) -> Floats:
         """Readings of the sensor for part ``number`` at grid samples ``rows`` (r,).

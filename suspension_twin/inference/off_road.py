@@ -13,10 +13,12 @@ from suspension_twin.errors import InputError
 from suspension_twin.files import Json
 from suspension_twin.road.road import Outside, Road
 
-__all__ = ["Ground", "OffRoad", "off_road", "policy_of"]
+__all__ = ["OFF_ROAD", "Ground", "OffRoad", "off_road", "policy_of"]
 
 #: Border modes of OpenCRG in words.
 _MODES = ("error", "zero", "hold", "repeat", "reflect")
+#: With what the sentence of a drive that leaves its road begins.
+OFF_ROAD = "off the road"
 _WORDS = {
     "hold": "the heights of its border are held",
     "zero": "the height is 0",
@@ -65,7 +67,7 @@ class OffRoad:
         words = _WORDS.get(self.policy, f"the road's file says {self.policy}")
         span = f"from {start - begin:.1f} to {end - begin:.1f} s{more}"
         return (
-            f"off the road {self.road} for {self.seconds:.1f} s ({self.share:.0%} of the drive), {span}: "
+            f"{OFF_ROAD} {self.road} for {self.seconds:.1f} s ({self.share:.0%} of the drive), {span}: "
             f"there {words}, and nothing is compared"
         )
 

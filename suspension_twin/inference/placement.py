@@ -35,6 +35,7 @@ from suspension_twin.errors import WorkError
 from suspension_twin.inference.excited_segments import TrimSettings, fit_rows, trim
 from suspension_twin.inference.nuisance import course_covariance
 from suspension_twin.inference.observation import VERTICAL, Observation, PlaceShift, observe
+from suspension_twin.inference.off_road import OFF_ROAD
 from suspension_twin.inference.priors import SINGLE
 from suspension_twin.inference.problem import REACH
 from suspension_twin.models.excitation import coarser
@@ -105,8 +106,11 @@ class Placement:
         for start, end in self.spans:
             valid &= (path.t < start) | (path.t > end)
         unknown = replace(found, reading=replace(source, trajectory=replace(path, valid=valid)))
-        said = (*observation.warnings, self.words(float(observation.t[0])))
-        return replace(on_the_lane(unknown), warnings=said)
+        placed = on_the_lane(unknown)
+        known = [text for text in observation.warnings if not text.startswith(OFF_ROAD)]
+        beside = placed.off_road.sentence(float(path.t[0]))
+        said = filter(None, (*known, beside, self.words(float(observation.t[0]))))
+        return replace(placed, warnings=tuple(said))
 
     def kept(self, observation: Observation) -> Observation:
         """As :meth:`moved`, also where the recording is read with another correction of its sensor."""

@@ -28,7 +28,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.drive.received import velocity_fault
 from suspension_twin.drive.types import Drive
 from suspension_twin.pose.satellites import LEVEL
-from suspension_twin.signals.attitude import matrix_rpy, rpy_matrix
+from suspension_twin.signals.attitude import level_rpy, matrix_rpy, rpy_matrix
 from suspension_twin.signals.checks import Finding
 from suspension_twin.signals.offline import GnssMotion, ImuSignals, gnss_motion
 from suspension_twin.units import STANDARD_GRAVITY as G
@@ -433,7 +433,10 @@ def findings(drive: Drive, signals: ImuSignals, gps: Place) -> list[Finding]:
             Finding("error" if far else "warn", "clocks", text + (f" ({_LEAP_SECONDS})" if far else ""))
         )
     if abs(known.yaw) > _TURNED:
-        roll, pitch, yaw = matrix_rpy(rpy_matrix((0.0, 0.0, known.yaw)) @ rpy_matrix(signals.place.rpy))
+        tilted = any(f.code == "tilted" for f in signals.findings)
+        upright = level_rpy(signals.up[signals.standing].mean(axis=0)) if tilted else (0.0, 0.0, 0.0)
+        turn = rpy_matrix((0.0, 0.0, known.yaw)) @ rpy_matrix(upright)
+        roll, pitch, yaw = matrix_rpy(turn @ rpy_matrix(signals.place.rpy))
         text = (
             f"by braking and turning the sensor is turned by {math.degrees(known.yaw):.0f}° about the vertical against "
             f"imu.rpy of the twin file: if it is the mount, set imu.rpy: [{roll:.4f}, {pitch:.4f}, {yaw:.4f}]"

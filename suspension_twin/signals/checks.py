@@ -77,7 +77,8 @@ EXCLUDES: dict[str, frozenset[str]] = {
     "clocks": frozenset({"reversed", "facing", "tilted"}) | _OF_ROAD,
     # a path that is made with such a sensor leaves the road
     "reversed": frozenset({"facing"}) | _OF_ROAD,
-    "facing": _OF_ROAD,
+    # its imu.rpy is upright as well
+    "facing": frozenset({"tilted"}) | _OF_ROAD,
     # a map that starts anywhere is beside every road
     "no_datum": _OF_ROAD,
 }

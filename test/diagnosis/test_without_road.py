@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from suspension_twin.diagnosis.case import read_case
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.diagnosis.run import diagnose
 from suspension_twin.drive.importing import import_drive
 from suspension_twin.drive.types import Drive, cut
 from suspension_twin.drive.write import write_drive
-from suspension_twin.vehicle.twin import Datum, Imu, Place, Twin, save_twin
+from suspension_twin.vehicle.twin import Datum, Imu, Place, Twin, load_twin, save_twin
 
 ROOF = "rtklibexplorer_GNSS_IMU"
 
@@ -125,3 +126,18 @@ def test_a_reference_whose_motion_is_hardly_above_its_noise_is_no_reason_to_refu
     document = diagnose(request).document
     assert document["verdict"] == "no_gap"
     assert any("reference: calibrated on it alone, the twin still misses" in w for w in document["warnings"])
+
+
+def test_a_drive_far_from_the_origin_of_a_twin_without_a_road_is_whole(
+    repository: Path, tmp_path: Path
+) -> None:
+    there = load_twin(repository / "bags" / "crg_road" / "twin.yaml").model_copy(update={"road": None})
+    datum = Datum(latitude=40.1, longitude=-105.1, altitude=1600.0)  # another continent
+    seconds = []
+    for number, twin in enumerate((there, there.model_copy(update={"datum": datum}))):
+        save_twin(twin, tmp_path / f"{number}.yaml")
+        request = DiagnosisRequest(str(tmp_path / f"{number}.yaml"), (str(repository / "bags" / "crg_road"),))
+        case = read_case(request, lambda _: None, lambda: False)
+        seconds.append(float(case.drives[0].mask.sum() / case.drives[0].rate))
+        assert case.twin.datum == twin.datum and not any("off the road" in w for w in case.warnings)
+    assert seconds[0] == seconds[1] > 5.0

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -172,6 +173,18 @@ def test_rates_in_degrees_are_named_and_converted(winding: Drive, twin: Twin) ->
 def test_what_a_diagnosis_may_find_is_a_warning(drive: Drive, twin: Twin, bumps: Road) -> None:
     assert any("0.8 s after" in w for w in observe(late(drive, 0.8), twin, bumps, strict=True).warnings)
     assert any("180°" in w for w in observe(facing(drive, math.pi), twin, bumps, strict=True).warnings)
+
+
+def test_what_is_proposed_of_a_turned_and_tilted_sensor_needs_no_second_proposal(
+    drive: Drive, twin: Twin, bumps: Road
+) -> None:
+    tilt, imu = rpy_matrix((0.02, -0.12, 3.0)), drive.imu
+    turned = replace(imu, specific_force=imu.specific_force @ tilt, angular_rate=imu.angular_rate @ tilt)
+    held = replace(drive, imu=turned)
+    (line,) = (w for w in observe(held, twin, bumps, strict=True).warnings if "imu.rpy: [" in w)
+    roll, pitch, yaw = json.loads(line.partition("imu.rpy: ")[2])
+    told = twin.model_copy(update={"imu": twin.imu.model_copy(update={"rpy": (roll, pitch, yaw)})})
+    assert not any("imu.rpy" in w for w in observe(held, told, bumps, strict=True).warnings)
 
 
 @pytest.mark.parametrize("yaw", [1.6, math.pi])

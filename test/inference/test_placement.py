@@ -241,6 +241,8 @@ def test_a_phones_drive_is_simulated_where_it_was_felt(repository: Path, twin: T
     road = load_road(repository / "bags" / "bump_15kmh" / "road.crg")
     found = simulate_drive(drive, twin, road)
     assert any("placed on the road" in line for line in found.observation.warnings)
+    (beside,) = (line for line in found.observation.warnings if line.startswith("off the road"))
+    assert f" for {found.observation.off_road.seconds:.1f} s (" in beside
     at_its_positions = observe(drive, twin, road)
     assert at_its_positions.gap(at_its_positions.simulated(twin)).rms > 0.5
     assert found.gap.rms < 0.1
