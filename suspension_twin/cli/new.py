@@ -76,11 +76,13 @@ def command(
         made = "By suspension-twin new. Springs and dampers are a guess: calibrate them."
         save_twin(twin, out, heading=f"# {f'From {base}.' if base else made}\n")
     lines = [f"Written to {out}: {twin.vehicle.name} ({twin.model})"]
+    following = f"run --twin {out} --view"
     if twin.road is None:
-        lines.append("It has no road yet: suspension-twin road --help makes one.")
+        lines.append("It has no road yet: give the road's file with --road.")
+        following = f"road make --bump LENGTHxHEIGHT --felt DRIVE --twin {out} --out road.crg"
     elif twin.datum is None:
         lines.append(f"It has {NO_DATUM.text} (--drive takes it from a drive).")
-    output().print(*lines, f"Next: suspension-twin run --twin {out} --view", sep="\n", markup=False)
+    output().print(*lines, f"Next: suspension-twin {following}", sep="\n", markup=False)
 
 
 def _ready(name: str) -> Path:

@@ -207,7 +207,8 @@ def checked_rig(
         raise InputError(
             path,
             "road_displacement",
-            "is missing, and so is road_velocity: one of them is needed, or the motion of the wheel",
+            "is missing, and so is road_velocity: a quarter_car needs one of them, or the motion of the wheel; a "
+            "drive on a road is for another model, such as full_car",
         )
     for quantity, values in columns.items():
         bad = np.flatnonzero(~np.isfinite(values))
