@@ -216,13 +216,13 @@ def print_diagnosis(document: Document, out: Path | None) -> None:
             "; ".join(f"{name} {value}" for name, value in wording.parameters_of(cause)),
             wording.channel_name(wording.channel_of(document, cause)),
             f"{cause['presence']:.3f}",
-            f"{cause['shrink_beyond_recalibration']:.2f}",
-            "{:.2f} to {:.2f}".format(*cause["shrink_beyond_recalibration_interval"]),
+            wording.percent(cause["shrink"]),
+            " to ".join(map(wording.percent, cause["shrink_interval"])),
         )
         for cause in document["causes"][:5]
     ]
-    columns = "cause", "parameters", "channel", "probability", "shrink", "90 % interval"
-    title = "The likeliest causes; shrink of the gap beyond recalibration"
+    columns = "cause", "parameters", "channel", "probability", "closes", "90 % interval"
+    title = "The likeliest causes; what each closes of the gap, with its interval on one more drive"
     print_table(console, title, columns, rows, words=columns[:3])
     known, unknown = (document[f"{name}_probability"] for name in ("no_gap", "unknown"))
     console.print(f"No gap {known:.3f}, unknown {unknown:.3f}.")

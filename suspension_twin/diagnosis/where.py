@@ -107,7 +107,8 @@ def localise(problem: Problem, difference: Floats, noise: dict[str, float], twin
     total = max(float(sum(e.sum() for e in excess)), 1e-30)
     where = {
         "time": _time(problem, excess, total),
-        "road": _road(problem, np.concatenate(excess), total),
+        # without a road positions are metres of a drive's own path
+        "road": _road(problem, np.concatenate(excess), total) if problem.data.parts[0].excited else [],
         "frequency": _bands(
             series, problem.measured.rate, floor, _expected_density(problem, difference, main)
         ),

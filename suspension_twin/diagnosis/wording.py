@@ -100,12 +100,12 @@ def _parameter(effect: str, name: str) -> Parameter | None:
 
 
 def parameter_name(effect: str, name: str) -> str:
-    """``clearance, front`` for ``front_clearance``, ``wheel`` for ``corner``."""
+    """``clearance, front`` for ``front_clearance``, ``wheel`` for ``corner``, ``lost force, front`` for ``front``."""
     known = _parameter(effect, name)
     words = name.removesuffix(f"_{known.unit}").split("_") if known else name.split("_")
     if words[0] in ("front", "rear") and len(words) > 1:
         words = [*words[1:-1], f"{words[-1]},", words[0]]
-    return _PLAIN.get(name, " ".join(words))
+    return _PLAIN.get(f"{effect}.{name}", _PLAIN.get(name, " ".join(words)))
 
 
 def parameter_value(effect: str, name: str, value: float) -> str:
@@ -349,7 +349,7 @@ def message(document: Document) -> str:
         low, high = (percent(v) for v in lead["shrink_beyond_recalibration_interval"])
         text += (
             f"; the gap in {channel_name(lead['channel'])} is {percent(lead['shrink_beyond_recalibration'])} smaller "
-            f"({low} to {high}) than by recalibration alone"
+            f"({low} to {high} on these drives) than by recalibration alone"
         )
         if document.get("before_and_after"):
             text += "; it is so before and after alike, so it is not what changed"
@@ -369,7 +369,7 @@ def _closing(document: Document) -> list[str]:
     else:
         share, after = float(lead["shrink"]), float(lead["gap_after"])
         low, high = (percent(v) for v in lead["shrink_interval"])
-        words, interval = "With it", f" ({low} to {high} at 90 % confidence)"
+        words, interval = "With it", f" ({low} to {high} on one more drive, at 90 % confidence)"
     change = "falls" if share > 0.0 else "does not fall: it goes"
     by = f", by {percent(share)}{interval}" if share > 0.0 else ""
     lines = [

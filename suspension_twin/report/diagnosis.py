@@ -318,7 +318,13 @@ def _likeliest(d: Document) -> Section:
     for name, key in ((wording.NOTHING, "no_gap"), (wording.UNKNOWN, "unknown")):
         cell = _chance(float(d[f"{key}_probability"]), d["verdict"] in _SAID[key])
         rows.append((wording.capital(name), cell, "", "", ""))
-    columns = ("cause", "probability", "closes the gap in", "by (90 % interval)", "parameters")
+    columns = (
+        "cause",
+        "probability",
+        "closes the gap in",
+        "by (90 % interval, one more drive)",
+        "parameters",
+    )
     return Section(
         "The likeliest causes",
         "By how much the gap would close with each cause in the twin, recalibration included, on road that the fit has "
@@ -351,7 +357,8 @@ def _all_causes(d: Document) -> Section:
             Cell(round(c["probability"], 3), "good" if c["effect"] in d["combination"] else ""),
             wording.channel_name(c["channel"]),
             f"{wording.percent(c['shrink'])} {_interval(c['shrink_interval'])}",
-            wording.percent(c["shrink_beyond_recalibration"]),
+            f"{wording.percent(c['shrink_beyond_recalibration'])} "
+            + _interval(c["shrink_beyond_recalibration_interval"]),
             _parameters(c),
             *([", ".join(map(wording.effect_name, c["indistinguishable_from"]))] if tied else []),
         )
@@ -361,7 +368,8 @@ def _all_causes(d: Document) -> Section:
     return Section(
         "Every cause that was tried",
         "Every effect was fitted together with the characteristics and the nuisance parameters (clocks, map, tilt, "
-        "biases). The shrinks are of the channel named beside them.",
+        "biases). The shrinks are of the channel named beside them: from the twin as given, with the interval on one "
+        "more drive, and beyond what recalibration closes, with the interval on these drives alone.",
         Table((*columns, "like") if tied else columns, rows),
         folded=True,
     )

@@ -120,7 +120,8 @@ def in_frequency(
     """Power spectral densities, one-sided, over frequency (f,) in Hz.
 
     ``densities`` maps a role ("measured", "simulated", "before", "residual") to its PSD (f,);
-    ``cutoff`` marks where the common low-pass begins to take the signal away. ``width`` in inches.
+    ``cutoff`` marks where the common low-pass begins to take the signal away. ``width`` in inches. The axis ends at the
+    upper one of the ``limits`` in Hz, or where the spectra do.
     """
     names = {"before": "before calibration", "residual": "measured − simulated", **(names or {})}
     keep = (frequency > 0.999 * limits[0]) & (
@@ -144,10 +145,10 @@ def in_frequency(
             else:
                 _line(axes, role, frequency[keep], values, label=names.get(role, role))
         axes.set(xscale="log", yscale="log", xlabel="frequency [Hz]", ylabel=f"spectral density [{unit}]")
-        axes.set_xlim(*limits)
+        low, high = axes.set_xlim(limits[0], min(limits[1], float(frequency[-1])))
         if largest > 0:
             axes.set_ylim(largest * 1e-5, largest * 2.5)
-        ticks = [f for f in (0.5, 1, 2, 3, 5, 10, 20, 50, 100) if limits[0] <= f <= limits[1]]
+        ticks = [f for f in (0.5, 1, 2, 3, 5, 10, 20, 50, 100) if low <= f <= high]
         axes.set_xticks(ticks, [f"{f:g}" for f in ticks])
         axes.minorticks_off()
         if cutoff is not None and limits[0] < cutoff < limits[1]:

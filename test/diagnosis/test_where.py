@@ -3,13 +3,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 from one_channel import CHANNEL, RATE, problem_over
 from scipy.signal import lfilter
 
-from suspension_twin.diagnosis.where import _bands, _corners, _expected_density, _operating_points
+from suspension_twin.diagnosis.where import _bands, _corners, _expected_density, _operating_points, localise
 
 
 def resonance(x: np.ndarray, hertz: float, damping: float) -> np.ndarray:
@@ -93,3 +96,21 @@ def test_operating_points_hold_the_gap_and_an_even_gap_has_none() -> None:
         for s in range(20)
     ]
     assert sum(map(bool, wrong)) <= 4
+
+
+@pytest.mark.parametrize("excited", [True, False])
+def test_a_place_on_the_road_is_named_where_there_is_one(excited: bool) -> None:
+    """Without a road positions are metres that were driven: the seconds of the drive say where."""
+    n = 4000
+    left = 0.1 * np.random.default_rng(2).standard_normal((n, 1))
+    left[1500:1600] *= 30.0
+    there = problem_over([n], left)
+    t, speed = np.arange(n) / RATE, np.full(n, 10.0)
+    there.data.parts = [
+        SimpleNamespace(name="drive", t=t, rate=RATE, position=10.0 * t, along=speed, excited=excited)
+    ]
+    there.data.rows = [np.arange(n)]
+    bare: Any = SimpleNamespace(axles={})
+    where = localise(there, left, {CHANNEL: 0.01}, bare)
+    assert where["time"][0]["start"] == pytest.approx(15.0, abs=0.5)
+    assert bool(where["road"]) is excited

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 
+from suspension_twin.cli.common import print_diagnosis
 from suspension_twin.diagnosis import wording
 from suspension_twin.effects.registry import EFFECTS
 
@@ -211,6 +212,25 @@ def test_remarks_name_the_channel_the_candidates_and_what_is_not_new():
 @pytest.mark.parametrize("verdict", ["no_gap", "unknown", "partly"])
 def test_remarks_hold_no_id(verdict):
     assert all("unknown:" not in line and "no_gap" not in line for line in wording.remarks(document(verdict)))
+
+
+def test_an_interval_says_of_which_drives_it_is(capsys):
+    """On one more drive it is wider than on the drives of the diagnosis: what is printed has one of them."""
+    beyond = {"shrink_beyond_recalibration": 0.77, "shrink_beyond_recalibration_interval": [0.76, 0.79]}
+    d = document(warnings=[])
+    d["causes"][0] |= {**beyond, "presence": 0.93}
+    assert "by 78 % (74 % to 81 % on one more drive, at 90 % confidence)" in " ".join(wording.remarks(d))
+    assert "77 % smaller (76 % to 79 % on these drives) than by recalibration alone" in wording.message(d)
+    print_diagnosis(d, None)
+    table = capsys.readouterr().out
+    assert "its interval on one more drive" in table and "76 %" not in table
+    assert "78 %" in table.splitlines()[-3] and "74 % to 81 %" in table.splitlines()[-3]
+
+
+@pytest.mark.parametrize(("effect", "model"), ON_MODELS)
+def test_no_quantity_is_a_bare_place(effect, model):
+    names = {wording.parameter_name(effect, p.name) for p in EFFECTS[effect].on(model).parameters}
+    assert not names & {"front", "rear"}
 
 
 def test_parameters_have_names_units_and_intervals():

@@ -30,6 +30,7 @@ def cause(effect: str, probability: float, parameters: dict[str, float], **more:
         "shrink_interval": [0.7, 0.8],
         "channel": "vertical_acceleration",
         "shrink_beyond_recalibration": 0.6,
+        "shrink_beyond_recalibration_interval": [0.58, 0.62],
         "indistinguishable_from": [],
         "judged": True,
         "log_evidence": 12.0,
@@ -248,3 +249,16 @@ def test_no_name_of_a_vehicle_a_drive_an_effect_or_a_file_becomes_a_part_of_the_
 def test_the_page_says_how_to_go_on_with_a_drive_over_the_same_road(repository, proposed, wanted):
     html = diagnosis_page(result(repository, document(next_drive=proposed))).render()
     assert ("diagnose --add DRIVE" in html) is wanted
+
+
+def test_intervals_on_these_drives_and_on_one_more_are_told_apart(repository):
+    html = diagnosis_page(result(repository, document())).render()
+    assert "by (90 % interval, one more drive)" in html and "(70 % to 80 % on one more drive" in html
+    assert "60 % (58 % to 62 %)" in html and "with the interval on these drives alone" in html
+
+
+def test_a_small_picture_alone_is_no_larger_than_beside_another(repository):
+    """Drawn twice as wide its letters would be twice as large."""
+    html = diagnosis_page(result(repository, document())).render()
+    (columns,) = re.findall(r"[.]row [{][^}]*grid-template-columns: repeat[(]([a-z-]+),", html)
+    assert columns == "auto-fill"

@@ -220,3 +220,11 @@ def test_figures_are_saved_by_their_suffix(tmp_path):
     style.save(fig, tmp_path / "a.svg")
     assert (tmp_path / "new" / "a.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     assert "<svg" in (tmp_path / "a.svg").read_text()
+
+
+@pytest.mark.parametrize(("last", "end"), [(2.5, 2.5), (60.0, 25.0)])
+def test_the_axis_of_frequency_ends_with_the_spectra(last, end):
+    frequency = np.linspace(0.0, last, 64)
+    axes = plots.in_frequency(frequency, {"measured": np.ones(64), "residual": np.full(64, 0.1)}).axes[0]
+    assert axes.get_xlim() == pytest.approx((0.5, end))
+    assert max(axes.get_xticks()) <= end
