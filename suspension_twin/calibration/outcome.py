@@ -13,6 +13,7 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.checks import check_agreement
 from suspension_twin.calibration.drivefit import drive_fits, paper_distance
+from suspension_twin.calibration.labels import parameter_label, parameter_unit
 from suspension_twin.calibration.recorder import Recorder, SearchOutcome
 from suspension_twin.calibration.request import (
     CalibrationRequest,
@@ -36,6 +37,11 @@ from suspension_twin.vehicle.twin import Twin, value_at
 
 __all__ = ["conclude", "unfinished"]
 
+_KEPT = (
+    "kept at their start, as they made up for an error of another kind when left free: {}; that is outside the 90 % "
+    "intervals of their priors (those of the results count the error of the model too and may be wider) though the "
+    "drives carry less information on them than the priors"
+)
 _ONE_PASS = (
     "one pass over what excites: nothing can be held out, how well the twin predicts another is not known"
 )
@@ -72,8 +78,7 @@ def conclude(recorder: Recorder, outcome: SearchOutcome, start: float, began: fl
             outcome = _settled(outcome, setup.objective, found)
     except Interrupted:
         stopped = True
-    written = [float(f"{v:.7g}") for v in outcome.values]
-    values = np.clip(written, space.lower, space.upper)
+    values = np.clip([float(f"{v:.7g}") for v in outcome.values], space.lower, space.upper)
     sensor = sensor_estimates(setup, outcome, found, request.keep_sensor) if found and setup.on_road else ()
     estimates = _estimates(setup, values, found)
     nuisances = _nuisances(outcome, found)
@@ -114,8 +119,8 @@ def conclude(recorder: Recorder, outcome: SearchOutcome, start: float, began: fl
             *_against_the_tape(outcome, nuisances),
             *_early(sensor),
             *_late(setup, values, found),
-            *_remarks(drives, setup, values),
-            *_absorbed(found),
+            *_remarks(drives, twin, estimates),
+            *_absorbed(twin, found),
             *([_ONE_PASS] if found is not None and not stopped and measure is None else []),
         ),
     )
@@ -151,10 +156,9 @@ def _settled(outcome: SearchOutcome, objective: Objective, found: Uncertainty) -
     return replace(outcome, values=values, nuisance=found.x[d:] + outcome.placed, squares=settled, cost=cost)
 
 
-def _remarks(drives: tuple[DriveFit, ...], setup: Setup, values: Floats) -> list[str]:
+def _remarks(drives: tuple[DriveFit, ...], twin: Twin, estimates: Sequence[Estimate]) -> list[str]:
     """Warnings about drives whose gap did not shrink."""
-    bound = int(np.count_nonzero(setup.space.on_bound(values)))
-    tail = f": {bound} parameters ended on their bounds, let them go further" if bound else ""
+    bound = ", ".join(parameter_label(twin, e.key) for e in estimates if e.on_bound)
     remarks = []
     for d in drives:
         if d.gap_after.rms <= d.gap_before.rms:
@@ -166,7 +170,10 @@ def _remarks(drives: tuple[DriveFit, ...], setup: Setup, values: Floats) -> list
                 "clocks or map are off by the values found for them"
             )
         else:
-            remarks.append(f"the calibrated twin is farther from {d.name} than the one it started from{tail}")
+            remarks.append(
+                f"the calibrated twin is farther from {d.name} than the one it started from"
+                + (f"; on their bounds, which --bound moves: {bound}" if bound else "")
+            )
     return remarks
 
 
@@ -213,16 +220,14 @@ def _late(setup: Setup, values: Floats, found: Uncertainty | None) -> list[str]:
     ]
 
 
-def _absorbed(found: Uncertainty | None) -> list[str]:
-    """Warnings about parameters that made up for an error elsewhere while they were free."""
-    if found is None:
-        return []
-    return [
-        f"{key} is kept at its start: left free it went to {value:.4g}, outside its prior's 90 % interval though the "
-        "drives carry less information on it than the prior: it made up for an error of another kind"
-        for key, value in zip(found.space.keys, found.absorbed, strict=True)
+def _absorbed(twin: Twin, found: Uncertainty | None) -> list[str]:
+    """A warning that lists the parameters that made up for an error elsewhere while they were free."""
+    names = [
+        f"{parameter_label(twin, key)} at {value:{'.0f' if value > 1e3 else '.4g'}} {parameter_unit(key)}".strip()
+        for key, value in (zip(found.space.keys, found.absorbed, strict=True) if found else ())
         if np.isfinite(value)
     ]
+    return [_KEPT.format(", ".join(names))] if names else []
 
 
 def _estimates(setup: Setup, values: Floats, found: Uncertainty | None) -> tuple[Estimate, ...]:

@@ -38,7 +38,7 @@ __all__ = [
 
 
 #: What an :class:`Estimate` can be.
-STATUSES = ("identified", "extrapolated", "kept", "not identified", "on bound")
+STATUSES = ("identified", "interpolated", "extrapolated", "kept", "not identified", "on bound")
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,9 @@ class Estimate:
     the search. ``status`` (one of ``STATUSES``; the criterion is in ``calibration.uncertainty``):
 
     - ``identified``: the data carry at least as much information on it as its prior;
-    - ``extrapolated``: it follows identified neighbours on its characteristic by the prior of smooth slopes;
+    - ``interpolated``: within the range that the drives excited it follows identified neighbours on its characteristic
+      by the prior of smooth slopes;
+    - ``extrapolated``: beyond that range it does;
     - ``kept``: at its start, for the data do not show that it differs from it;
     - ``on bound``: the search wanted to go further;
     - ``not identified``: the search knew no prior, and the value is arbitrary within its interval.

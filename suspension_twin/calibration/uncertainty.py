@@ -10,10 +10,11 @@ given all others:
 Up to this limit of one half (a gain of ln(2)/2 nats) the estimate is more the prior's than the data's,
 for a Gaussian posterior weighs the two by their precisions. What is not identified follows the prior:
 *extrapolated* from identified parameters that the prior correlates with it (neighbouring segments of a
-characteristic), else *kept* at its start. A parameter that the prior correlates with no other is kept
-as well if its 90 % interval holds its start and a likelihood ratio test does not reject the start. What is kept is held
-there and the rest is fitted once more, unless that rejects the starts by as many independent residuals as there are
-blocks of two seconds: then those that are farthest from theirs, in standard deviations, are identified too.
+characteristic; *interpolated* where the drives reached its point), else *kept* at its start. A parameter that the prior
+correlates with no other is kept as well if its 90 % interval holds its start and a likelihood ratio test does not
+reject the start. What is kept is held there and the rest is fitted once more, unless that rejects the starts by as many
+independent residuals as there are blocks of two seconds: then those that are farthest from theirs, in standard
+deviations, are identified too.
 """
 
 from __future__ import annotations
@@ -115,13 +116,20 @@ def assess(setup: Setup, outcome: SearchOutcome, seed: int) -> Uncertainty:
             status=status,
         )
         if held is not x:
-            x = held
-            found = around(x)
+            x, found = held, around(held)
     low, high = np.quantile(found.draws, INTERVAL, axis=1)
     # What is reported belongs to its interval, also where another objective found it at the end of a valley.
     reported = problem.space.from_slopes(x[:d, None])[:, 0]
     low, high = np.minimum(low, reported), np.maximum(high, reported)
     where = _travel_at(setup, problem, x)
+    reached = [
+        row
+        for curve in problem.space.curves
+        for begin, end in [span_of(curve, where)]
+        for row, at in zip(curve.rows, curve.x, strict=True)
+        if row >= 0 and begin <= at <= end
+    ]
+    status[reached] = np.where(status[reached] == "extrapolated", "interpolated", status[reached])
     return Uncertainty(problem.space, found, where, low, high, x, tuple(map(str, status)), absorbed)
 
 

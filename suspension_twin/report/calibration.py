@@ -35,14 +35,17 @@ _LONGEST_RATED = 20.0  # s of a drive that ISO/TS 18571 rates: its time warping 
 #: Meaning of each status, and its colour in the table.
 _MEANINGS = {
     "identified": "the drives carry at least as much information on it as its prior",
-    "extrapolated": "it follows identified neighbours on its characteristic by the prior of smooth slopes; a faster "
-    "drive or a higher bump would identify it",
+    "interpolated": "the drives reached it, yet show less of the slope there than its prior: it follows identified "
+    "neighbours on its characteristic; more or stronger motion there would identify it",
+    "extrapolated": "beyond what the drives excited it follows identified neighbours on its characteristic by the "
+    "prior of smooth slopes; a faster drive or a higher bump would identify it",
     "kept": "at its start: the drives do not show that it differs from it",
     "not identified": "the search had no prior: the value is arbitrary within its interval",
     "on bound": "the search wanted to go further",
 }
 _COLOURS: dict[str, Mark] = {
     "identified": "good",
+    "interpolated": "soft",
     "extrapolated": "soft",
     "kept": "soft",
     "not identified": "warn",
@@ -123,16 +126,6 @@ def _summary(result: CalibrationResult) -> str:
             "The car paper's objective, eq. (1), the same for every preset (Euclidean distance of the vertical "
             "acceleration, each drive aligned in time), went from "
             f"{short(result.initial_distance)} to {short(result.distance)} m/s²."
-        )
-    worse = [
-        d.name
-        for d in result.drives
-        if d.gap_after.rms > d.gap_before.rms and d.nuisance_free >= 0.5 * d.gap_after.rms
-    ]
-    if worse:
-        lines.append(
-            f"**On {', '.join(worse)} the twin is farther from the car than before.** Parameters on their bounds below "
-            "show in which direction the bounds hold them back; use `--preset fast` or wider `--bound`s."
         )
     for status, count in result.counts.items():
         keys = [parameter_label(result.twin, e.key) for e in result.estimates if e.status == status]
@@ -367,7 +360,7 @@ def _unidentified(result: CalibrationResult, axle: str) -> list[tuple[str, float
     found = []
     for e in result.estimates:
         curve_key, _, index = e.key.rpartition(".force.")
-        if curve_key and e.status in ("extrapolated", "kept", "not identified"):
+        if curve_key and e.status not in ("identified", "on bound"):
             where, _, part = curve_key.removeprefix("vehicle.").rpartition(".")
             if where == axle:
                 x = getattr(result.twin.axles[axle].part, part).points[0][int(index)]
@@ -398,7 +391,7 @@ def _parameter_section(result: CalibrationResult) -> Section:
     columns = ["parameter", "unit", "start", "found", "90 % interval", "bounds", "status"]
     text = (
         "Values on a bound are coloured. An interval that does not hold its value shows that the bounds or the search "
-        "held it back."
+        "held it back. It counts the error of the model too: that of a kept value may be wider than its prior's."
     )
     return Section("Parameters", text, Table(columns, rows, "Forces are at the wheel, for one wheel."))
 

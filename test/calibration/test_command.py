@@ -13,6 +13,7 @@ import yaml
 
 from suspension_twin.calibration.output import details_path
 from suspension_twin.cli.main import main
+from suspension_twin.models.parameters import twin_value
 from suspension_twin.vehicle.twin import load_twin
 
 
@@ -153,7 +154,18 @@ def test_the_bundled_drive_gives_the_inertia_and_intervals_around_what_was_found
     assert low <= true.sprung_inertia.pitch <= high
     roll = rows["vehicle.sprung_inertia.roll"]
     assert roll["status"] == "kept" and found.sprung_inertia.roll == roll["start"] == 550.0
-    assert rows["vehicle.front.damper_push.force.3"]["status"] == "extrapolated"
+    spans = {r["curve"]: (r["from"], r["to"]) for r in details["excited_ranges"]}
+    following = set()
+    for key, row in rows.items():
+        curve, _, index = key.rpartition(".force.")
+        if row["status"] in ("interpolated", "extrapolated"):
+            low, high = spans[curve]
+            reached = low <= twin_value(load_twin(out), curve).points[0][int(index)] <= high
+            assert row["status"] == ("interpolated" if reached else "extrapolated"), key
+            following.add(reached)
+    assert following == {True, False}
+    (kept,) = [w for w in details["warnings"] if w.startswith("kept at their start")]
+    assert re.search(r"sprung inertia roll at 4\d\d kg m², rear linkage recession at 0[.]\d+;", kept)
     inner = [p for p in rows.values() if p["value"] not in p["bounds"]]
     assert len(inner) > 30
     place = [(p["value"] - p["interval_90"][0]) / np.ptp(p["interval_90"]) for p in inner]

@@ -30,6 +30,7 @@ from suspension_twin.inference.space import curve_keys
 from suspension_twin.inference.synthetic import synthetic_drive
 from suspension_twin.models.parameters import twin_value
 from suspension_twin.models.simulate import simulate_twin
+from suspension_twin.report.calibration import calibration_page
 from suspension_twin.road import load_road
 from suspension_twin.vehicle.twin import load_twin, save_twin
 
@@ -224,6 +225,11 @@ def test_no_twin_is_written_that_explains_less_of_what_it_was_not_fitted_to(
     with pytest.raises(WorkError, match="no twin is written.*held-out passes .the given twin"):
         write_result(result, tmp_path / "twin.yaml")
     assert not (tmp_path / "twin.yaml").exists()
+    # friction that is kept at zero has not run onto its bound
+    (said,) = [w for w in result.warnings if "farther from harder" in w]
+    assert said.endswith("started from") and not any(e.on_bound for e in result.estimates)
+    page = calibration_page(result).render()
+    assert said in page and "--preset" not in page and page.count("farther from") == 1
 
 
 def test_every_count_of_what_is_identified_is_the_same(fast: Any) -> None:
