@@ -305,7 +305,7 @@ def _recalibration(document: Document) -> list[str]:
     low, high = (percent(v) for v in r["shrink_interval"])
     lines = [
         f"Recalibrated, the twin's gap falls from {r['gap_before']:.2g} to {r['gap_after']:.2g} {unit}, by "
-        f"{percent(r['shrink'])} ({low} to {high} at 90 % confidence), on road that the fit has not used."
+        f"{percent(r['shrink'])} ({low} to {high} at 90 % confidence), on stretches that the fit has not used."
     ]
     shares = [(one, float(one["share"])) for one in document["recalibrated"]]
     lines += [
@@ -374,7 +374,7 @@ def _closing(document: Document) -> list[str]:
     by = f", by {percent(share)}{interval}" if share > 0.0 else ""
     lines = [
         f"{words} in the twin the gap in {channel_name(channel)} {change} from {before:.2g} to {after:.2g} "
-        f"{channel_unit(channel)}{by}, on road that the fit has not used."
+        f"{channel_unit(channel)}{by}, on stretches that the fit has not used."
     ]
     like = dict.fromkeys(effect_name(e) for c in named for e in c["indistinguishable_from"])
     if like:

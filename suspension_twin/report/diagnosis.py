@@ -101,8 +101,8 @@ def _before_and_after(result: DiagnosisResult) -> Section:
     after = f"with the cause{plural} in it" if lead else "recalibrated"
     shown = "handed back as it came" if result.twin == result.given else after
     text = (
-        f"The gap between twin and car in **{wording.channel_name(channel)}**, above the noise, on road that no fit "
-        "has used; and the seconds in which the twin as given is worst."
+        f"The gap between twin and car in **{wording.channel_name(channel)}**, above the noise, on stretches that no "
+        "fit has used; and the seconds in which the twin as given is worst."
     )
     bars = _bars(d, lead, channel, after)
     worst = _worst(result.drives)
@@ -327,8 +327,8 @@ def _likeliest(d: Document) -> Section:
     )
     return Section(
         "The likeliest causes",
-        "By how much the gap would close with each cause in the twin, recalibration included, on road that the fit has "
-        "not used.",
+        "By how much the gap would close with each cause in the twin, recalibration included, on stretches that the "
+        "fit has not used.",
         Table(columns, rows),
     )
 
@@ -488,7 +488,7 @@ def _method(d: Document) -> Section:
         f"rms, at a noise of {d['gap']['noise_rms']:.2g}. Recalibration alone, without any effect, lowers it above the "
         f"noise from {r['gap_before']:.3g} to {r['gap_after']:.3g} {unit}. {text}.",
         "The gap before is that of the twin as given, the gap after that of the written twin, with the file's clock, "
-        "map and biases; both on road that the fit has not used. Probabilities come from cross-validation. Model "
+        "map and biases; both on stretches that the fit has not used. Probabilities come from cross-validation. Model "
         "discrepancy is correlated from sample to sample: the effective sample size is reduced accordingly (factor "
         f"{b['noise_share_of_residual']:.2g}). Seed {d['seed']}.",
     ]
