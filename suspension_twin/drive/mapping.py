@@ -33,7 +33,7 @@ from suspension_twin.drive.importers import IMPORTERS, read_source
 from suspension_twin.drive.mat import MAT_MAGIC, mat_table
 from suspension_twin.drive.measurement import MeasuredTable, open_measurement
 from suspension_twin.drive.rig import QUANTITIES, RigRecord, checked_rig, rig_unit, upright
-from suspension_twin.drive.stamps import began_again, unwrapped
+from suspension_twin.drive.stamps import began_again, moment, unwrapped
 from suspension_twin.drive.streams import Series, Streams
 from suspension_twin.drive.types import FixData, HeadingData, VelocityData
 from suspension_twin.errors import InputError, shown
@@ -55,6 +55,9 @@ RATE_UNITS: Final = {"rad/s": 1.0, "deg/s": math.radians(1), "°/s": math.radian
 SPEED_UNITS: Final = {"m/s": 1.0, "km/h": 1 / 3.6, "kn": 1852 / 3600, "mph": 0.44704}
 #: In degrees, in which places and bearings are kept.
 ANGLE_UNITS: Final = {"deg": 1.0, "°": 1.0, "rad": math.degrees(1)}
+#: A logger's clock and the tag of its file run alike: to s by which the first and last bytes of one are late, and to a
+#: share that is ten times the error of a quartz (tolerances, by hand).
+_LATE, _DRIFT = 1.0, 1e-3
 
 Column = str | int
 
@@ -544,9 +547,16 @@ def _posix(files: _Files, spec: TimeSpec, outer: FileSpec | None) -> Floats:
         return t + iso_to_posix(spec.start)
     if spec.tag is not None:
         first, last = rtklib_tag(*files.content(spec.tag))
-        if finite[-1] <= finite[0]:
-            raise InputError(table.label, f"column {spec.column}", "times do not rise")
-        return gps_to_posix(first + (t - finite[0]) * (last - first) / (finite[-1] - finite[0]))
+        span = finite[-1] - finite[0]
+        if span <= 0.0 or abs(last - first - span) > _LATE + _DRIFT * span:
+            zero = moment(float(gps_to_posix(np.array(first - finite[0])))).removesuffix(" UTC")
+            raise InputError(
+                table.label,
+                f"column {spec.column}",
+                f"runs for {span:.1f} s and {spec.tag} for {last - first:.1f} s: is one cut off, or the unit wrong? "
+                f"Copy both again, or go by this clock alone: base: start, start: {zero} instead of base and tag",
+            )
+        return gps_to_posix(first + (t - finite[0]) * (last - first) / span)
     if spec.tie is not None:
         own = files.table(spec.tie, outer).numbers(spec.tie.column) * TIME_UNITS[spec.tie.unit]
         own = _going_on(files, own)

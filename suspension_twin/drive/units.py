@@ -44,6 +44,8 @@ _COURSE, _BENDS, _SURE = 3.0, 0.5, 0.75
 #: Ratio of rates from which on the unit is another; share of the trace that keeps out axes in which nothing turns;
 #: length of the mean vertical of a sensor that sits still; cosine between verticals that are one, or opposed (by hand).
 _SCALE, _RIDGE, _STEADY, _ALONG = 1.7, 0.01, 0.9, 0.6
+#: Share by which gravity differs in no accelerometer that works (tolerance, by hand).
+_OFF = 0.15
 #: Of seconds: the fewest that show anything.
 _FEWEST = 10
 
@@ -52,16 +54,19 @@ def recognise_units(force: Floats) -> Units:
     """Units of ``force`` (n, 3) by the length of its mean, which over seconds of driving is gravity."""
     if not len(force):
         return "unknown"
-    length = float(np.linalg.norm(force.mean(axis=0)))
-    if length < 6.0 and len(force) >= _LONG:  # a sensor that was turned over has a mean, too
-        quarters = np.linalg.norm([part.mean(axis=0) for part in np.array_split(force, 4)], axis=1)
-        length = length if np.median(quarters) < 6.0 else float(np.median(quarters))
+    length = _gravity(force)
     if 6.0 < length < 14.0:
         return "m/s2"
     spread = float(np.median(np.abs(np.linalg.norm(force, axis=1) - length)))
     if 0.85 < length < 1.15 and spread < 0.35:
         return "g"
     return "gravity removed" if length < 3.0 else "unknown"
+
+
+def _gravity(force: Floats) -> float:
+    """Length of the mean of ``force`` (n, 3), of a long one that of its quarters: a sensor may be turned over."""
+    parts = np.array_split(force, 4 if len(force) >= _LONG else 1)
+    return float(np.median(np.linalg.norm([part.mean(axis=0) for part in parts], axis=1)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,10 +198,15 @@ def imu_in_si(
             notes.append(f"accelerometer: median {size:.2f}, so in {unit}")
     warnings, scale = [], STANDARD_GRAVITY if unit == "g" else 1.0
     force = scale * imu.specific_force
-    left = recognise_units(force)
-    if left == "unknown":
-        warnings.append(f"accelerometer: median {scale * size:.1f} m/s², not gravity's 9.8: check the unit")
-    elif left != "m/s2":
+    left, gravity = recognise_units(force), _gravity(force)
+    if left == "g":
+        warnings.append(f"accelerometer: gravity is {gravity:.2f} m/s², so it is in g: give g as its unit")
+    elif left != "gravity removed" and abs(gravity / STANDARD_GRAVITY - 1.0) > _OFF:
+        warnings.append(
+            f"accelerometer: gravity is {gravity:.2f} m/s², not 9.81: check the unit and the columns (are they the "
+            "gyroscope's?)"
+        )
+    elif left == "gravity removed":
         warnings.append(
             f"accelerometer: median {scale * size:.2f} m/s²: gravity seems to be removed; record the accelerometer "
             "with gravity"

@@ -352,6 +352,15 @@ def test_rtklib_tag(tmp_path: Path) -> None:
     time = {"unit": "ms", "base": "rtklib_tag", "tag": "imu.csv.tag"}
     drive = _read(tmp_path, np.round(5000 + T * 1000), {"time": time})
     np.testing.assert_allclose(drive.imu.t, START + 0.25 + T * round(duration, 3) / T[-1], atol=1e-6)
+    lines = (tmp_path / "imu.csv").read_text().splitlines()
+    (tmp_path / "imu.csv").write_text("\n".join(lines[:101]))
+    fault = r"imu\.csv: column t: runs for 1\.0 s and imu\.csv\.tag for 3\.0 s"
+    with pytest.raises(InputError, match=fault) as cut:
+        import_drive([tmp_path / "imu.csv"], mapping=tmp_path / "map.yaml")
+    start = str(cut.value).split("start: ")[1].split(" instead")[0]
+    alone = {"time": {"column": "t", "unit": "ms", "base": "start", "start": start}}
+    drive = import_drive([tmp_path / "imu.csv"], mapping=_mapping(tmp_path / "map.yaml", alone)).drive
+    np.testing.assert_allclose(drive.imu.t, START + 0.25 + T[:100], atol=1e-3)
     (tmp_path / "imu.csv.tag").write_bytes(head[:40])
     with pytest.raises(InputError, match=r"imu\.csv\.tag: not a time tag"):
         _read(tmp_path, T * 1000, {"time": time})
@@ -464,9 +473,11 @@ def test_a_bag_with_other_topics(make: Any, same: Any, tmp_path: Path) -> None:
 
 def test_doubtful_units_are_said(tmp_path: Path) -> None:
     for force, rate, words in (
-        (FORCE / G, RATE, "gravity seems to be removed"),  # g under the name of m/s²
+        (FORCE / G, RATE, "so it is in g: give g as its unit"),
+        (3.0 * RATE + [0.0, 0.0, 0.7 * G], FORCE, "not 9.81: check the unit and the columns"),  # exchanged
         (FORCE - [0, 0, G], RATE, "gravity seems to be removed"),
         (FORCE * 10, RATE, "check the unit"),
+        (FORCE * 0.8, RATE, "check the unit"),
         (FORCE, RATE * 57, "deg/s"),
     ):
         table = _table(tmp_path / "imu.csv", START + T, force, rate)
