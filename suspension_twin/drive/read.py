@@ -74,7 +74,8 @@ def read_drive(path: str | Path, *, topics: Topics | None = None) -> Drive:
         A rosbag2 folder (MCAP or sqlite3), a bare ``.mcap`` or ``.db3`` file, or a ROS 1 bag, truncated or
         not.
     topics : Topics, optional
-        Names of the topics; those of the contract by default. Only that of the IMU must be there.
+        Names of the topics; those of the contract by default. That of the IMU must be there, and any other
+        name that is given; an empty one is none.
 
     Returns
     -------
@@ -85,8 +86,8 @@ def read_drive(path: str | Path, *, topics: Topics | None = None) -> Drive:
     Raises
     ------
     InputError
-        No recording, no IMU topic (the message names those there are), a topic of a wrong type, or no
-        sample.
+        No recording, a topic that is not there (the message names those that fit), or is of a wrong type, or
+        no sample.
 
     Examples
     --------
@@ -104,8 +105,8 @@ def _read(path: str | Path, topics: Topics) -> Drive:
         have = contents.types.get(name)
         if have is not None and have not in TYPES[role]:
             raise InputError(path, name, f"holds {have}, but {role} needs {TYPES[role][0]}")
-    if names["imu"] not in contents.types:
-        raise InputError(path, names["imu"], _no_imu(contents))
+        if have is None and (role == "imu" or name not in (getattr(Topics, role), "/")):
+            raise InputError(path, name, _missing(contents, role))
     columns = {f.name: _Columns.of(contents, names[f.name]) for f in fields(Topics)}
     if not columns["imu"].t.size:
         raise InputError(path, names["imu"], "; ".join(["no message was read", *contents.warnings]))
@@ -130,17 +131,17 @@ def drive_name(path: str | Path) -> str:
     return path.name if path.is_dir() else path.name.split(".", 1)[0] or path.name
 
 
-def _no_imu(contents: Contents) -> str:
+def _missing(contents: Contents, role: str) -> str:
     """One line: the topics that are there instead, and the remedy."""
     if not contents.types:
         return "; ".join(["the recording holds no topics", *contents.warnings])
-    imus = sorted(name for name, kind in contents.types.items() if kind in TYPES["imu"])
-    others = sorted(f"{name} ({kind})" for name, kind in contents.types.items() if name not in imus)
-    if imus:
-        text = f"no such topic; IMU topics of this recording are {', '.join(imus)}: name one as the imu topic"
-        return text + f", or 'suspension-twin import --imu-topic {imus[0]}' makes a drive of it"
+    fit = sorted(name for name, kind in contents.types.items() if kind in TYPES[role])
+    others = sorted(f"{name} ({kind})" for name, kind in contents.types.items() if name not in fit)
+    if fit:
+        text = f"no such topic; {role} topics of this recording are {', '.join(fit)}: name one as the {role} topic"
+        return text + f", or 'suspension-twin import --{role}-topic {fit[0]}' makes a drive of it"
     shown = ", ".join(others[:8]) + (f" and {len(others) - 8} more" if len(others) > 8 else "")
-    return f"no such topic, nor any other of type {TYPES['imu'][0]}; the recording holds {shown}"
+    return f"no such topic, nor any other of type {TYPES[role][0]}; the recording holds {shown}"
 
 
 @dataclass

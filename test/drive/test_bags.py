@@ -10,7 +10,7 @@ import struct
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -160,9 +160,14 @@ def test_topics_have_other_names(drive: Drive, same: Same, tmp_path: Path) -> No
     write_drive(drive, tmp_path / "bag", topics=topics)
     same(read_drive(tmp_path / "bag", topics=topics), drive)
     with pytest.raises(
-        InputError, match=r"/imu/data_raw.*IMU topics of this recording are /car/imu.*--imu-topic /car/imu"
+        InputError, match=r"/imu/data_raw.*imu topics of this recording are /car/imu.*--imu-topic /car/imu"
     ):
         read_drive(tmp_path / "bag")
+    named = {**asdict(topics), "vel": "/nonsense"}
+    with pytest.raises(
+        InputError, match=r"/nonsense: no such topic; vel topics of this recording are /car/gps/vel"
+    ):
+        read_drive(tmp_path / "bag", topics=Topics(**named))
 
 
 def test_a_folder_named_bag_is_read_and_not_written(
@@ -260,7 +265,7 @@ def test_a_topic_of_a_wrong_type(tmp_path: Path) -> None:
         match=r"/fix: holds geometry_msgs/msg/PoseStamped, but fix needs sensor_msgs/msg/NavSatFix",
     ):
         read_drive(tmp_path / "bag")
-    read = read_drive(tmp_path / "bag", topics=Topics(fix="/other"))
+    read = read_drive(tmp_path / "bag", topics=Topics(fix=""))
     assert (len(read.imu), len(read.fix), len(read.velocity), read.heading) == (5, 0, 0, None)
 
 
