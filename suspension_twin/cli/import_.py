@@ -73,8 +73,8 @@ def command(
     if mapping is not None and out.suffix == ".csv":
         with outputs:
             record = import_rig(files, mapping)
-            outputs.announce()
             write_rig(record, out, f"{record.name}, by {mapping.name}")
+            outputs.announce()
             rate = (record.t.size - 1) / (record.t[-1] - record.t[0])
             console.print(
                 f"{record.name}: {record.t[-1]:.1f} s at {rate:.4g} Hz, {', '.join(record.columns)}"
@@ -87,11 +87,11 @@ def command(
     topics = Topics(imu=imu_topic, fix=fix_topic, vel=vel_topic, heading=heading_topic)
     with outputs:
         imported = import_drive(files, mapping=mapping, topics=topics)
+        write_drive(imported.drive, out, overwrite=force)  # before a pipe that closes ends the printing
         outputs.announce()
         console.print(f"{imported.drive.name}: {imported.origin}")
         doubts = *imported.drive.warnings, *turns_said(imported.drive)
         warnings = (f"warning: {text}" for text in doubts)
         for line in (*summarise(imported.drive).lines(), *imported.notes, *warnings):
             console.print(Padding(line, (0, 0, 0, 2), expand=False))
-        write_drive(imported.drive, out, overwrite=force)
     console.print(f"Written to {out}")

@@ -43,7 +43,7 @@ class RecordedFiles:
     """The files of one recording as the user named it: a file, a folder or a zip archive.
 
     ``names`` are relative to it, with ``/``; of a single file, its name. Archives made on a Mac carry a shadow of each
-    file, and some wrap everything in a folder: neither shows here.
+    file, and some wrap everything in a folder: neither shows here. ``unread`` are those that nobody has read yet.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -57,6 +57,7 @@ class RecordedFiles:
             else:
                 members = self._zip()
                 self._members = self._file() if members is None else members
+        self.unread = dict.fromkeys(self._members)
         if len(self._members) > _MOST_FILES:
             raise InputError(self.path, f"holds more than {_MOST_FILES} files: name one recording")
 
@@ -117,6 +118,7 @@ class RecordedFiles:
 
     def read(self, name: str) -> bytes:
         """Content of one file; InputError if it cannot be read, TooLarge if it unpacks to more than it may."""
+        self.unread.pop(name, None)
         if isinstance(path := self._members[name], Path):
             return read_bytes(path, _LARGEST)
         pieces = []

@@ -102,6 +102,7 @@ def import_drive(
         recordings = [RecordedFiles(path) for path in paths]
         if spec is None:
             streams = merge([read_source(recording) for recording in recordings])
+            streams.unread = [r.label(name) for r in recordings for name in r.unread]
         else:
             streams = read_mapped(spec, recordings, str(mapping))
         name = spec.name if spec is not None and spec.name else recordings[0].name
@@ -125,7 +126,7 @@ def import_rig(paths: Sequence[str | Path], mapping: str | Path) -> RigRecord:
 
 def _bag(path: str | Path, topics: Topics, lag: float = 0.0) -> Imported:
     drive = read_drive(path, topics=topics)
-    notes = [f"topics: {topics.imu}, {topics.fix}, {topics.vel}"]
+    notes = ["topics: " + ", ".join(filter(None, (topics.imu, topics.fix, topics.vel)))]
     if lag:
         drive = replace(drive, imu=replace(drive.imu, t=drive.imu.t - lag))
         notes.append(f"IMU time: {lag:g} s lag taken out")

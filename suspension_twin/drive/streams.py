@@ -67,7 +67,8 @@ class Streams:
     """The streams of one recording; ``origin`` is the title of its format.
 
     ``force`` is specific force (gravity included) and ``rate`` angular rate in rad/s, in sensor axes. ``notes`` has a
-    line for every decision, ``warnings`` one for everything lost or doubtful.
+    line for every decision, ``warnings`` one for everything lost or doubtful, ``unread`` files
+    that were not recognised.
     """
 
     origin: str
@@ -78,6 +79,7 @@ class Streams:
     heading: HeadingData | None = None
     notes: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+    unread: Sequence[str] = ()
 
     def add_course(self, t: Floats, speed: Floats, bearing: Floats, words: str = "speed and bearing") -> None:
         """Velocities as :func:`velocities_from_course` has them; those that are lost are said."""
@@ -122,7 +124,10 @@ def assemble(streams: Streams, name: str, source: str) -> tuple[Drive, list[str]
 
 def _assembled(streams: Streams, name: str, source: str, notes: list[str], warnings: list[str]) -> Drive:
     if streams.force is None:
-        raise InputError(source, "no accelerometer data")
+        among = f", or its columns in a --mapping if it is one of those not recognised: {', '.join(streams.unread[:8])}"
+        raise InputError(
+            source, f"no accelerometer data: give the IMU's file too{among if streams.unread else ''}"
+        )
     if streams.rate is None:
         raise InputError(source, "no gyroscope data: record it together with the accelerometer")
     force, span = _in_order(streams.force, "accelerometer", source, warnings)

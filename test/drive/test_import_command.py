@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -118,6 +120,23 @@ def test_every_failure_is_one_line_and_status_2(
         assert errors.count("\n") == 1 and errors.strip(), (arguments, errors)
         assert "Traceback" not in errors and printed == ""
         assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", ["empty.csv", "empty.bag", "folder"])
+def test_nothing_is_called_empty(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / name
+    path.write_bytes(b"") if path.suffix else path.mkdir()
+    assert main(["import", str(path), "--out", str(tmp_path / "out")]) == 2
+    assert f"{name}: is empty: copy the recording again" in capsys.readouterr().err
+
+
+def test_a_pipe_that_closes_loses_no_bag(upside_down_in_g: Path, tmp_path: Path) -> None:
+    program = [sys.executable, "-m", "suspension_twin", "import", str(upside_down_in_g), "--out", "out"]
+    with subprocess.Popen(program, cwd=tmp_path, stdout=subprocess.PIPE) as running:
+        assert running.stdout is not None
+        running.stdout.close()
+        running.wait(60)
+    assert len(read_drive(tmp_path / "out").imu) == 950
 
 
 def test_a_phones_recording_cut_off_while_copying(

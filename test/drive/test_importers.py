@@ -764,8 +764,15 @@ def test_rtklib_files_that_cannot_be_read(tmp_path: Path) -> None:
         path.write_text(text)
         with pytest.raises(InputError, match=words):
             import_drive([path])
-    with pytest.raises(InputError, match="no accelerometer"):
+    with pytest.raises(InputError, match="no accelerometer data: give the IMU's file too$"):
         import_drive([_pos(path)])
+
+
+def test_a_file_that_nobody_read_is_named_where_there_is_no_imu(tmp_path: Path) -> None:
+    _pos(tmp_path / "gnss.pos")
+    (tmp_path / "imu.csv").write_text("0.1,0.0,1.0\n")
+    with pytest.raises(InputError, match=r"--mapping if it is one of those not recognised: [^,]*imu\.csv$"):
+        import_drive([tmp_path])
 
 
 # --- one table of all sensors (logger_csv, and Sensor Logger's)

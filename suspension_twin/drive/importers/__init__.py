@@ -51,6 +51,8 @@ def importer_of(source: RecordedFiles) -> Importer:
         with reading(source.path, "a recording"):
             if importer.recognises(source):
                 return importer
+    if not any(map(source.head, source.names)):
+        raise InputError(source.path, "is empty: copy the recording again")
     titles = ", ".join(importer.TITLE for importer in IMPORTERS.values())
     raise InputError(
         source.path,
