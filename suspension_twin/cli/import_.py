@@ -19,8 +19,6 @@ from suspension_twin.signals.offline import turns_said
 
 __all__ = ["command"]
 
-_DEFAULT = Topics()
-
 
 def command(
     files: Annotated[
@@ -51,16 +49,16 @@ def command(
     ] = None,
     imu_topic: Annotated[
         str, typer.Option(help="Of a bag: the topic of the IMU.", metavar="TOPIC")
-    ] = _DEFAULT.imu,
+    ] = Topics.imu,
     fix_topic: Annotated[
         str, typer.Option(help="Of a bag: the topic of the positions.", metavar="TOPIC")
-    ] = _DEFAULT.fix,
+    ] = Topics.fix,
     vel_topic: Annotated[
         str, typer.Option(help="Of a bag: the topic of the velocities.", metavar="TOPIC")
-    ] = _DEFAULT.vel,
+    ] = Topics.vel,
     heading_topic: Annotated[
         str, typer.Option(help="Of a bag: the topic of the heading.", metavar="TOPIC")
-    ] = _DEFAULT.heading,
+    ] = Topics.heading,
     force: Force = False,
 ) -> None:
     """A phone's or logger's recording into a bag.
@@ -77,10 +75,10 @@ def command(
             outputs.announce()
             rate = (record.t.size - 1) / (record.t[-1] - record.t[0])
             console.print(
-                f"{record.name}: {record.t[-1]:.1f} s at {rate:.4g} Hz, {', '.join(record.columns)}"
+                f"{record.name}: {record.t[-1]:.1f} s at {rate:.4g} Hz, {', '.join(record.columns)}",
+                *(f"  warning: {text}" for text in record.warnings),
+                sep="\n",
             )
-            for text in record.warnings:
-                console.print(f"  warning: {text}")
         console.print(f"Written to {out}")
         return
     BagWriter(out, overwrite=force)  # replaces nothing but a recording
@@ -90,8 +88,7 @@ def command(
         write_drive(imported.drive, out, overwrite=force)  # before a pipe that closes ends the printing
         outputs.announce()
         console.print(f"{imported.drive.name}: {imported.origin}")
-        doubts = *imported.drive.warnings, *turns_said(imported.drive)
-        warnings = (f"warning: {text}" for text in doubts)
+        warnings = (f"warning: {text}" for text in (*imported.drive.warnings, *turns_said(imported.drive)))
         for line in (*summarise(imported.drive).lines(), *imported.notes, *warnings):
             console.print(Padding(line, (0, 0, 0, 2), expand=False))
     console.print(f"Written to {out}")

@@ -85,9 +85,8 @@ def import_drive(
     """
     if not paths:
         raise InputError("import", "no file given")
-    for path in paths:
-        if not Path(path).exists():
-            raise InputError(path, "is not there")
+    if missing := [path for path in paths if not Path(path).exists()]:
+        raise InputError(missing[0], "is not there")
     files = ", ".join(map(str, paths))
     with reading(files, "a recording"):
         spec = None if mapping is None else load_mapping(mapping)

@@ -138,8 +138,10 @@ def _missing(contents: Contents, role: str) -> str:
     fit = sorted(name for name, kind in contents.types.items() if kind in TYPES[role])
     others = sorted(f"{name} ({kind})" for name, kind in contents.types.items() if name not in fit)
     if fit:
-        text = f"no such topic; {role} topics of this recording are {', '.join(fit)}: name one as the {role} topic"
-        return text + f", or 'suspension-twin import --{role}-topic {fit[0]}' makes a drive of it"
+        return (
+            f"no such topic; {role} topics of this recording are {', '.join(fit)}: name one as the {role} topic, or "
+            f"'suspension-twin import --{role}-topic {fit[0]}' makes a drive of it"
+        )
     shown = ", ".join(others[:8]) + (f" and {len(others) - 8} more" if len(others) > 8 else "")
     return f"no such topic, nor any other of type {TYPES[role][0]}; the recording holds {shown}"
 

@@ -199,17 +199,17 @@ def imu_in_si(
     warnings, scale = [], STANDARD_GRAVITY if unit == "g" else 1.0
     force = scale * imu.specific_force
     left, gravity = recognise_units(force), _gravity(force)
-    if left == "g":
-        warnings.append(f"accelerometer: gravity is {gravity:.2f} m/s², so it is in g: give g as its unit")
-    elif left != "gravity removed" and abs(gravity / STANDARD_GRAVITY - 1.0) > _OFF:
-        warnings.append(
-            f"accelerometer: gravity is {gravity:.2f} m/s², not 9.81: check the unit and the columns (are they the "
-            "gyroscope's?)"
-        )
-    elif left == "gravity removed":
+    if left == "gravity removed":
         warnings.append(
             f"accelerometer: median {scale * size:.2f} m/s²: gravity seems to be removed; record the accelerometer "
             "with gravity"
+        )
+    elif left == "g":
+        warnings.append(f"accelerometer: gravity is {gravity:.2f} m/s², so it is in g: give g as its unit")
+    elif abs(gravity / STANDARD_GRAVITY - 1.0) > _OFF:
+        warnings.append(
+            f"accelerometer: gravity is {gravity:.2f} m/s², not 9.81: check the unit and the columns (are they the "
+            "gyroscope's?)"
         )
     windows = windowed(imu.t, force, imu.angular_rate)
     evidence = rates_in_degrees(windows, velocity)

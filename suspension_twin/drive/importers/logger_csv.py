@@ -27,14 +27,13 @@ __all__ = ["TITLE", "read", "recognises"]
 
 TITLE = "AndroSensor, SensorLog, Physics Toolbox, RaceChrono"
 
-_PLACE: Final = ("latitude", "longitude", "altitude", "horizontal", "vertical", "speed", "course")
-
 
 @dataclass(frozen=True)
 class _App:
     """Columns of one app as regular expressions on their names, ``{}`` for x, y and z, and factors to SI units.
 
-    ``place``: expressions of :data:`_PLACE`, an empty one for a column that the app does not have.
+    ``place``: latitude, longitude, altitude, horizontal and vertical accuracy, speed, course; an empty one for a column
+    that the app does not have.
     """
 
     title: str

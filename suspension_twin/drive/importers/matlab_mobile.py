@@ -45,9 +45,9 @@ Columns = dict[str, object]
 
 def recognises(source: RecordedFiles) -> bool:
     """A ``.mat`` file, or a CSV file of one of the logs with a time column."""
-    if _mat(source) is not None:
-        return True
-    return any(_is_csv(source, log) for log in ("acceleration", "angularvelocity"))
+    return _mat(source) is not None or any(
+        _is_csv(source, log) for log in ("acceleration", "angularvelocity")
+    )
 
 
 def _mat(source: RecordedFiles) -> str | None:
@@ -66,8 +66,7 @@ def _is_csv(source: RecordedFiles, log: str) -> str | None:
 def read(source: RecordedFiles) -> Streams:
     """Acceleration, angular velocity and position."""
     streams = Streams(origin=TITLE)
-    mat = _mat(source)
-    if mat is not None:
+    if (mat := _mat(source)) is not None:
         logs = of_mat(_logs_of_variables, source.read(mat), source.label(mat))
     else:
         logs = _logs_of_csv(source, streams)
@@ -92,9 +91,10 @@ def _logs_of_csv(source: RecordedFiles, streams: Streams) -> dict[str, Columns]:
         streams.warnings += table.warnings
         columns: Columns = {}
         for i, full in enumerate(table.names):
-            short = full.lower().rsplit("_", 1)[-1]
             numbers = table.numbers(i)
-            columns[short] = numbers if np.isfinite(numbers).any() else list(table.text(i))
+            columns[full.lower().rsplit("_", 1)[-1]] = (
+                numbers if np.isfinite(numbers).any() else list(table.text(i))
+            )
         logs[log] = columns
     return logs
 
@@ -125,8 +125,7 @@ def _fields(value: Any) -> Columns:
 
 def _columns(named: Columns, name: str, label: str) -> Columns:
     """Columns of one log by lower-case name, whichever way it was saved."""
-    fields = _fields(named[name])
-    if fields:
+    if fields := _fields(named[name]):
         return fields
     array = np.asarray(named[name])
     if array.dtype.kind not in "fiu" or array.ndim != 2:

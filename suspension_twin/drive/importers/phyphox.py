@@ -56,9 +56,8 @@ _TIME_HEAD = re.compile(rb"\(s\)")
 
 def recognises(source: RecordedFiles) -> bool:
     """A time reference in ``meta``, or a CSV file whose columns carry phyphox's units."""
-    if source.find("meta/time.csv") is not None:
-        return True
-    return any(_head(source, name) for name in source.names[:20] if name.lower().endswith((".csv", ".txt")))
+    tables = (name for name in source.names[:20] if name.lower().endswith((".csv", ".txt")))
+    return source.find("meta/time.csv") is not None or any(_head(source, name) for name in tables)
 
 
 def _head(source: RecordedFiles, name: str) -> bool:
@@ -72,9 +71,8 @@ def read(source: RecordedFiles) -> Streams:
     streams = Streams(origin=TITLE)
     linear_only = False
     for name in source.names:
-        if not name.lower().endswith((".csv", ".txt")) or "meta/" in f"/{name.lower()}":
-            continue
-        if not _head(source, name):
+        table_name = name.lower().endswith((".csv", ".txt")) and "meta/" not in f"/{name.lower()}"
+        if not table_name or not _head(source, name):
             continue
         try:
             table = read_table(source.read(name), source.label(name), header=True)
@@ -107,11 +105,9 @@ def _take(table: DataTable, name: str, streams: Streams) -> bool:
     """Add the streams of one file; returns whether it holds acceleration without gravity."""
     t = table.numbers(0)
     linear = bool(_LINEAR.search(name)) or any(_LINEAR.search(column) for column in table.names)
-    force = _columns(table, _ACCELERATION)
-    if force and not _LINEAR.search(name) and streams.force is None:
+    if streams.force is None and not _LINEAR.search(name) and (force := _columns(table, _ACCELERATION)):
         streams.force = Series(t, table.vector(force))
-    rate = _columns(table, _RATE)
-    if rate and streams.rate is None:
+    if streams.rate is None and (rate := _columns(table, _RATE)):
         streams.rate = Series(t, table.vector(rate))
     if streams.fix is None:
         _location(table, t, streams)
@@ -164,10 +160,8 @@ def _to_epoch(source: RecordedFiles, streams: Streams) -> None:
     clock = ExperimentTime.of_events(events, experiment, system)
     if not clock.begin.size:
         raise InputError(source.label(name), "holds no START")
-    pauses = clock.begin.size - 1
-    if pauses:
+    if pauses := clock.begin.size - 1:
         streams.notes.append(f"time: the recording was paused {pauses} times")
     for name in ("force", "rate", "fix", "velocity"):
-        stream = getattr(streams, name)
-        if stream is not None:
+        if (stream := getattr(streams, name)) is not None:
             setattr(streams, name, replace(stream, t=clock.utc(stream.t)))

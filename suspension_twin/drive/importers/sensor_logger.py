@@ -112,8 +112,7 @@ def read(source: RecordedFiles) -> Streams:
         ]
         streams.fix = phone_fix(t, *place, *rest)
         if location.has("speed", "bearing"):
-            speed, bearing = location.numbers("speed"), location.numbers("bearing")
-            streams.add_course(t, speed, bearing)
+            streams.add_course(t, location.numbers("speed"), location.numbers("bearing"))
     if platform is None:
         streams.warnings.append(f"{source.path}: no Metadata file names the platform: taken as Android")
     else:
@@ -128,13 +127,11 @@ def _tables(source: RecordedFiles) -> dict[str, DataTable]:
     export = next((name for name in source.names if _is_export(source, name)), None)
     if export is not None and source.find("Gyroscope.csv") is None:
         return _json_tables(source, export)
-    combined = next((name for name in source.names if _is_combined(source, name)), None)
-    if combined is not None:
+    if combined := next((name for name in source.names if _is_combined(source, name)), None):
         return _combined_tables(source, combined)
     tables = {}
     for sensor in _SENSORS:
-        name = source.find(f"{sensor}.csv")
-        if name is None:
+        if (name := source.find(f"{sensor}.csv")) is None:
             continue
         try:
             tables[sensor] = read_table(source.read(name), source.label(name), header=True, delimiter=",")
@@ -196,8 +193,7 @@ def _json_tables(source: RecordedFiles, name: str) -> dict[str, DataTable]:
     try:
         records: object = json.loads(text)
     except ValueError:
-        found = _whole_records(text)
-        if not found:
+        if not (found := _whole_records(text)):
             raise InputError(label, "not JSON") from None
         warnings.append(f"{label}: cut off after {len(found)} records")
         records = found
@@ -252,10 +248,10 @@ def _force(tables: dict[str, DataTable], streams: Streams, source: RecordedFiles
     chosen = [named[sensor] for sensor in force_sensors(named)]
     if not chosen:
         if "Accelerometer" in tables:
-            fault = (
-                "Accelerometer is without gravity: record TotalAcceleration (Android) or Gravity (iOS) too"
+            raise InputError(
+                source.path,
+                "Accelerometer is without gravity: record TotalAcceleration (Android) or Gravity (iOS) too",
             )
-            raise InputError(source.path, fault)
         return None
     if chosen != ["TotalAcceleration"]:
         streams.notes.append(f"specific force: {' + '.join(chosen)}")

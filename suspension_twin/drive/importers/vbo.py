@@ -62,13 +62,14 @@ def read(source: RecordedFiles) -> Streams:
         elif line.strip():
             lines.append(line.strip())
     names = " ".join(sections.get("column names", [])).split()
-    rows = sections.get("data", [])
-    if not rows:
+    if not (rows := sections.get("data", [])):
         raise InputError(label, "holds no [data]")
     table = read_table("\n".join(rows).encode(), label, header=False, delimiter=" ")
     table.names = names
     streams = Streams(origin=TITLE, warnings=list(table.warnings))
-    _check(table, names, label)
+    for key in ("time", "lat", "long"):
+        if _column(table, *_NAMES[key]) is None:
+            raise InputError(label, f"column {key}", f"is not there; the columns are {', '.join(names[:40])}")
     day = _day("\n".join(sections[""]), label, streams)
     stamp = _column(table, *_NAMES["time"])
     assert stamp is not None
@@ -78,12 +79,6 @@ def read(source: RecordedFiles) -> Streams:
     _positions(table, t, "\n".join(sections.get("header", [])).lower(), streams)
     _inertial(table, t, streams)
     return streams
-
-
-def _check(table: DataTable, names: list[str], label: str) -> None:
-    for key in ("time", "lat", "long"):
-        if _column(table, *_NAMES[key]) is None:
-            raise InputError(label, f"column {key}", f"is not there; the columns are {', '.join(names[:40])}")
 
 
 def _column(table: DataTable, *names: str) -> Floats | None:
