@@ -101,11 +101,11 @@ def import_drive(
         recordings = [RecordedFiles(path) for path in paths]
         if spec is None:
             streams = merge([read_source(recording) for recording in recordings])
-            streams.unread = [r.label(name) for r in recordings for name in r.unread]
         else:
             streams = read_mapped(spec, recordings, str(mapping))
         name = spec.name if spec is not None and spec.name else recordings[0].name
-        drive, notes = assemble(streams, name, files)
+        unread = [r.label(file) for r in recordings for file in r.unread]
+        drive, notes = assemble(streams, name, files, unread)
         return Imported(drive, streams.origin, tuple(notes))
 
 

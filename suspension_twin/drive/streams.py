@@ -67,8 +67,7 @@ class Streams:
     """The streams of one recording; ``origin`` is the title of its format.
 
     ``force`` is specific force (gravity included) and ``rate`` angular rate in rad/s, in sensor axes. ``notes`` has a
-    line for every decision, ``warnings`` one for everything lost or doubtful, ``unread`` files
-    that were not recognised.
+    line for every decision, ``warnings`` one for everything lost or doubtful.
     """
 
     origin: str
@@ -79,7 +78,6 @@ class Streams:
     heading: HeadingData | None = None
     notes: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
-    unread: Sequence[str] = ()
 
     def add_course(self, t: Floats, speed: Floats, bearing: Floats, words: str = "speed and bearing") -> None:
         """Velocities as :func:`velocities_from_course` has them; those that are lost are said."""
@@ -109,25 +107,27 @@ def merge(parts: Sequence[Streams]) -> Streams:
     return whole
 
 
-def assemble(streams: Streams, name: str, source: str) -> tuple[Drive, list[str]]:
+def assemble(streams: Streams, name: str, source: str, unread: Sequence[str] = ()) -> tuple[Drive, list[str]]:
     """The drive, and a line for each decision on the way.
 
-    Raises InputError naming ``source`` and all that was lost where there is no accelerometer, no gyroscope, or the two
-    do not overlap in time.
+    Raises InputError naming ``source`` and all that was lost where there is no accelerometer (and the files ``unread``,
+    which nobody recognised), no gyroscope, or the two do not overlap in time.
     """
     notes, warnings = list(streams.notes), list(streams.warnings)
     try:
-        return _assembled(streams, name, source, notes, warnings), notes
+        return _assembled(streams, name, source, notes, warnings, unread), notes
     except InputError as error:
         raise InputError("; ".join([str(error), *warnings])) from None
 
 
-def _assembled(streams: Streams, name: str, source: str, notes: list[str], warnings: list[str]) -> Drive:
+def _assembled(
+    streams: Streams, name: str, source: str, notes: list[str], warnings: list[str], unread: Sequence[str]
+) -> Drive:
     if streams.force is None:
-        among = f", or its columns in a --mapping if it is one of those not recognised: {', '.join(streams.unread[:8])}"
-        raise InputError(
-            source, f"no accelerometer data: give the IMU's file too{among if streams.unread else ''}"
+        among = (
+            f", or its columns in a --mapping if it is one of those not recognised: {', '.join(unread[:8])}"
         )
+        raise InputError(source, f"no accelerometer data: give the IMU's file too{among if unread else ''}")
     if streams.rate is None:
         raise InputError(source, "no gyroscope data: record it together with the accelerometer")
     force, span = _in_order(streams.force, "accelerometer", source, warnings)

@@ -116,8 +116,7 @@ def _plain(name: str) -> str:
 
 def read(source: RecordedFiles) -> Streams:
     """Accelerometer with gravity, gyroscope and location."""
-    found = _layout(source)
-    if found is None:
+    if (found := _layout(source)) is None:
         raise InputError(source.path, f"no CSV file of {TITLE}")
     app, number = found
     name = source.names[0]

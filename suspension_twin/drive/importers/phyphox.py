@@ -94,8 +94,7 @@ def _columns(table: DataTable, unit: re.Pattern[str]) -> list[int]:
     """The x, y and z columns of a unit, in this order; empty if they are not all there."""
     found: dict[str, int] = {}
     for i, name in enumerate(table.names):
-        quantity = name.split("(")[0]
-        axis = _AXIS.search(quantity)
+        axis = _AXIS.search(name.split("(")[0])
         if unit.search(name) and axis and not _LINEAR.search(name):
             found.setdefault(axis.group(1).lower(), i)
     return [found[axis] for axis in "xyz"] if len(found) == 3 else []
@@ -141,8 +140,7 @@ def _location(table: DataTable, t: Floats, streams: Streams) -> None:
     horizontal = [i for i in accuracies if i not in vertical]
     places = (numbers(columns) for columns in (latitude, longitude, altitude, horizontal, vertical))
     streams.fix = phone_fix(t, *places)
-    course = [i for i in degrees if i not in (latitude[0], longitude[0])]
-    if speeds and course:
+    if speeds and (course := [i for i in degrees if i not in (latitude[0], longitude[0])]):
         streams.add_course(t, numbers(speeds), numbers(course), "speed and direction")
 
 
