@@ -127,9 +127,9 @@ def assess(setup: Setup, outcome: SearchOutcome, seed: int) -> Uncertainty:
         for curve in problem.space.curves
         for begin, end in [span_of(curve, where)]
         for row, at in zip(curve.rows, curve.x, strict=True)
-        if row >= 0 and begin <= at <= end
+        if row >= 0 and begin <= at <= end and status[row] == "extrapolated"
     ]
-    status[reached] = np.where(status[reached] == "extrapolated", "interpolated", status[reached])
+    status[reached] = "interpolated"
     return Uncertainty(problem.space, found, where, low, high, x, tuple(map(str, status)), absorbed)
 
 

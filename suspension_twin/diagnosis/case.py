@@ -165,10 +165,7 @@ def read_case(
     bags = (*request.bags, *request.reference)
     if model_of(twin).recordings != "drive":
         return _runs(twin, observe_runs(twin, bags), active)
-    road = road_of(twin) if twin.road is not None else flat_road()
-    settings = _PLANAR_ONLY if twin.road is None else _ON_ROAD
-    # without a road no place matters: a drive may be far from the twin's origin
-    local = twin if twin.road is not None else twin.model_copy(update={"datum": None})
+    road, settings = (flat_road(), _PLANAR_ONLY) if twin.road is None else (road_of(twin), _ON_ROAD)
 
     def recording(bag: str) -> Drive:
         if stop():
@@ -180,7 +177,9 @@ def read_case(
     def ready(recorded: Drive) -> Observation | NoPlaceError:
         if stop():
             raise Interrupted
-        observation = observe(recorded, local, road, settings, strict=True)
+        # without a road no place matters: a drive may be far from the twin's origin
+        here = twin if twin.road is not None else twin.model_copy(update={"datum": None})
+        observation = observe(recorded, here, road, settings, strict=True)
         if twin.road is not None:
             check_drive(in_reach(observation))
             observation = on_one_clock(observation)
@@ -403,9 +402,8 @@ def _repeated(case: Case, problem: Problem, x: Floats) -> Problem:
         expected.append(others)
         if others is not None and number in quiet:
             own = slice(ends[number], ends[number + 1])
-            scale = np.sqrt(1.0 - (len(off) + 1) ** -2.0)
-            there = interpolated(program[number], part.t, others)
-            scatter[own] = scale * (missed[own] - there[data.rows[number]])
+            off_here = interpolated(program[number], part.t, others)[data.rows[number]]
+            scatter[own] = np.sqrt(1.0 - (len(off) + 1) ** -2.0) * (missed[own] - off_here)
             again.append(number)
     share = _DOUBT * shares(measured, missed, quiet)
     if again:

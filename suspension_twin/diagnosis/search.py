@@ -477,8 +477,8 @@ def _from_nothing(problem: Problem, start: LinearisedFit, added: Hypothesis) -> 
     """Unknowns one linear step from ``start`` and none of the ``added`` effect: scattered starts miss a size that the
     drives show to a hundredth of its prior, as they do that of a clock offset."""
     x = np.concatenate([start.x, added.neutral()])
-    columns = problem.effect_columns(x, known=start.x.size - problem.shared)
-    return _linear_step(problem, start.at.with_effects(*columns), x)
+    model = start.at.with_effects(*problem.effect_columns(x, known=start.x.size - problem.shared))
+    return _linear_step(problem, model, x)
 
 
 def _linear_step(problem: Problem, model: Quadratic, x: Floats) -> Floats:

@@ -87,8 +87,6 @@ def fit_rows(part: Observation, settings: TrimSettings) -> NDArray[np.intp]:
         between = np.zeros_like(active)
         between[rows[0] : rows[-1] + 1] = True
         active = between & part.mask & (np.abs(part.speed) > settings.slowest)
-    moving_start = part.t[0] + settings.lead
-    standing_before = np.abs(part.speed[0]) < settings.slowest
-    if not standing_before:
-        active &= part.t > moving_start
+    if np.abs(part.speed[0]) >= settings.slowest:  # it moved before: how is not known
+        active &= part.t > part.t[0] + settings.lead
     return np.flatnonzero(active)

@@ -191,12 +191,15 @@ def felt_road(drive: Drive, twin: Twin, features: Sequence[Feature], datum: Datu
     felt = felt_passes(signals, twin, alone, known)
     count = len(features)
     if not felt or len(felt) % count:
-        wanted = (
-            f"a multiple of the {count} bumps is expected"
-            if felt
-            else "check its size and the twin's imu.rpy"
+        raise InputError(
+            drive.name,
+            f"{first} was felt {len(felt)} times: "
+            + (
+                f"a multiple of the {count} bumps is expected"
+                if felt
+                else "check its size and the twin's imu.rpy"
+            ),
         )
-        raise InputError(drive.name, f"{first} was felt {len(felt)} times: {wanted}")
     speed = _speed(signals, known, felt)
     way = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(signals.t) * (speed[1:] + speed[:-1]))])
     gone = np.interp([p.t for p in felt], signals.t, way).reshape(-1, count)

@@ -108,9 +108,8 @@ class Placement:
         unknown = replace(found, reading=replace(source, trajectory=replace(path, valid=valid)))
         placed = on_the_lane(unknown)
         known = [text for text in observation.warnings if not text.startswith(OFF_ROAD)]
-        beside = placed.off_road.sentence(float(path.t[0]))
-        said = filter(None, (*known, beside, self.words(float(observation.t[0]))))
-        return replace(placed, warnings=tuple(said))
+        known += [placed.off_road.sentence(float(path.t[0])), self.words(float(observation.t[0]))]
+        return replace(placed, warnings=tuple(filter(None, known)))
 
     def kept(self, observation: Observation) -> Observation:
         """As :meth:`moved`, also where the recording is read with another correction of its sensor."""

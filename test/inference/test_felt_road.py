@@ -72,7 +72,9 @@ def test_what_was_not_felt_is_said(twin: Twin) -> None:
     drive = driven(twin, real(25.0))
     with pytest.raises(InputError, match="was felt 1 times"):
         felt_road(drive, twin, [bump, bump], twin.datum)
-    with pytest.raises(InputError, match=r"bump 0.9x0.05 was felt 0 times: check its size and the twin's imu.rpy"):
+    with pytest.raises(
+        InputError, match=r"bump 0.9x0.05 was felt 0 times: check its size and the twin's imu.rpy"
+    ):
         felt_road(driven(twin, make_road(70.0, iso="A")), twin, [bump], twin.datum)
 
 

@@ -33,8 +33,6 @@ __all__ = ["Foxglove", "Viewer", "fleet_pages", "foxglove_address", "free_addres
 
 #: Pages of single twins that a fleet's page keeps open, and s that one may take to start.
 _PAGES, _OPENED = 4, 30.0
-#: s between two tries to reach a process that starts.
-_AGAIN = 0.1
 
 
 class ListenAddress(NamedTuple):
@@ -160,14 +158,12 @@ def fleet_pages(
 def _listens(
     place: ListenAddress,
     given_up: Callable[[], bool] = lambda: False,
-    meanwhile: Callable[[], None] = lambda: None,
+    meanwhile: Callable[[], None] = lambda: time.sleep(0.1),
 ) -> bool:
     """Whether something listens there: waits for it until it does, or nobody waits any more, at most ``_OPENED`` s."""
     until = time.monotonic() + _OPENED
     while time.monotonic() < until and not given_up():
         with suppress(OSError), socket.create_connection((place.host, place.port), timeout=1.0):
             return True
-        due = time.monotonic() + _AGAIN
         meanwhile()
-        time.sleep(max(due - time.monotonic(), 0.0))
     return False
