@@ -107,6 +107,8 @@ def _read(path: str | Path, topics: Topics) -> Drive:
             raise InputError(path, name, f"holds {have}, but {role} needs {TYPES[role][0]}")
         if have is None and (role == "imu" or name not in (getattr(Topics, role), "/")):
             raise InputError(path, name, _missing(contents, role))
+        if have is None and role == "fix" and name != "/" and set(contents.types.values()) & set(TYPES[role]):
+            contents.warnings.append(f"{name}: {_missing(contents, role)}")
     columns = {f.name: _Columns.of(contents, names[f.name]) for f in fields(Topics)}
     if not columns["imu"].t.size:
         raise InputError(path, names["imu"], "; ".join(["no message was read", *contents.warnings]))

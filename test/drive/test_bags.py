@@ -170,6 +170,16 @@ def test_topics_have_other_names(drive: Drive, same: Same, tmp_path: Path) -> No
         read_drive(tmp_path / "bag", topics=Topics(**named))
 
 
+def test_positions_on_another_topic_are_not_lost_without_a_word(drive: Drive, tmp_path: Path) -> None:
+    write_drive(drive, tmp_path / "bag", topics=Topics(fix="/gps/fix"))
+    found = read_drive(tmp_path / "bag")
+    (line,) = (w for w in found.warnings if "topic" in w)
+    assert not len(found.fix) and line.startswith(
+        "/fix: no such topic; fix topics of this recording are /gps/fix"
+    )
+    assert not any("topic" in w for w in read_drive(tmp_path / "bag", topics=Topics(fix="")).warnings)
+
+
 def test_a_folder_named_bag_is_read_and_not_written(
     written: Path, drive: Drive, same: Same, tmp_path: Path
 ) -> None:
