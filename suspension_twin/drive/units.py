@@ -44,7 +44,8 @@ _COURSE, _BENDS, _SURE = 3.0, 0.5, 0.75
 #: Ratio of rates from which on the unit is another; share of the trace that keeps out axes in which nothing turns;
 #: length of the mean vertical of a sensor that sits still; cosine between verticals that are one, or opposed (by hand).
 _SCALE, _RIDGE, _STEADY, _ALONG = 1.7, 0.01, 0.9, 0.6
-#: Share by which gravity differs in no accelerometer that works (tolerance, by hand).
+#: Gravity that is off 9.81 m/s² by more than this share shows a wrong unit or column: the scale of an accelerometer is
+#: good to a few per cent (tolerance, by hand).
 _OFF = 0.15
 #: Of seconds: the fewest that show anything.
 _FEWEST = 10

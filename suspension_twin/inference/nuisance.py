@@ -328,8 +328,8 @@ class Nuisances:
         if knots.size:
             hats = interpolated(part.t[rows], knots, np.eye(knots.size))
             metres = metres + sense * np.einsum("rk,kl->rl", hats, wander, optimize=False)
-        early = np.broadcast_to(self.stamped_early(number, values), (part.t.size, lanes))
-        shift = (early[rows] + metres / along[:, None]) * part.rate
+        early = self.stamped_early(number, values)
+        shift = ((early[rows] if early.shape[0] > 1 else early) + metres / along[:, None]) * part.rate
         gain = np.ones((len(self.channels), lanes))
         gain[self._force] += value("gain")
         bias = np.stack([value(f"{drive}.bias.{c}") for c in self.channels])
